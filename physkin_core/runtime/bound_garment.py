@@ -50,8 +50,8 @@ class BoundGarment(SkinningData):
         as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
         guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
         skin; guard_ways (k, s, 2): which way a shin leads each back over itself, see `SkinPart.ways_back`. skin_frames
-        (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_coefficients (k, J, 2 H + 1): these
-        parts, see `SkinPart`. All empty where no cloth hangs.
+        (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_presses (k,), skin_coefficients
+        (k, J, 2 H + 1): these parts, see `SkinPart`. All empty where no cloth hangs.
     """
 
     bone_parents: np.ndarray
@@ -80,9 +80,17 @@ class BoundGarment(SkinningData):
     guard_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     guard_gaps: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     guard_ways: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 2), dtype=np.float32))
+    dent_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    dent_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
+    dent_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
+    dent_detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    dent_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    dent_nodes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    dent_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     skin_frames: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4), dtype=np.float32))
     skin_shapes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), dtype=np.float32))
     skin_bones: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.int32))
+    skin_presses: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     skin_heights: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.float32))
     skin_coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 9), dtype=np.float32))
 
@@ -94,7 +102,7 @@ class BoundGarment(SkinningData):
     @property
     def unguarded(self) -> BoundGarment:
         """The same, not kept out of the skin: as the networks alone drape it."""
-        guard = [each for each in fields(self) if each.name.startswith(("guard_", "skin_"))]
+        guard = [each for each in fields(self) if each.name.startswith(("guard_", "dent_", "skin_"))]
         return replace(self, **{each.name: each.default_factory() for each in guard})
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:

@@ -50,7 +50,7 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
         return {}
     draped = draped_at_rest(bound)
     clearance = -np.stack([part.depth(draped) for part in parts])
-    nearest = clearance.min(axis=0)
+    nearest = clearance[[not part.presses for part in parts]].min(axis=0)
     of_arms = (_of_arms(rig, found)[bound.node_bone][bound.influence_nodes] * bound.influence_weights).sum(axis=1)
     if nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, found))].max(initial=0.0) < FREE:
         return {}
@@ -61,21 +61,40 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     closeness = SPARSE + (1 - SPARSE) * shares[hanging]
     samples = _in_blocks(vertices, hanging[_spread(vertices[hanging], closeness, min(SAMPLES, len(hanging)))])
     return {
-        "guard_vertices": bound.vertices[samples],
-        "guard_influence_nodes": bound.influence_nodes[samples],
-        "guard_influence_weights": bound.influence_weights[samples],
-        "guard_detail_nodes": _of_detail(bound.detail_nodes, samples),
-        "guard_detail_weights": _of_detail(bound.detail_weights, samples),
+        **_sampled(bound, samples, "guard"),
         "guard_shares": as_float32(shares[samples]),
         "guard_gaps": as_float32(np.minimum(clearance[:, samples], GAP)),
         "guard_ways": as_float32([part.ways_back(draped[samples]) for part in parts]),
+        **_dents(bound, shares),
         **_described(parts),
     }
 
 
-def _of_detail(of_vertices: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """(s, J) of (n, J); (s, 0) without detail."""
-    return of_vertices[samples] if len(of_vertices) else np.empty((len(samples), 0), dtype=of_vertices.dtype)
+def _sampled(bound: BoundGarment, samples: np.ndarray, kind: str) -> dict[str, np.ndarray]:
+    """Fields of samples (s,) among vertices: `kind`_vertices and what they are skinned with; (s, 0) without detail."""
+    fields = {name: getattr(bound, name)[samples] for name in ("vertices", "influence_nodes", "influence_weights")}
+    for name in ("detail_nodes", "detail_weights"):
+        of_vertices = getattr(bound, name)
+        none = np.empty((len(samples), 0), dtype=of_vertices.dtype)
+        fields[name] = of_vertices[samples] if len(of_vertices) else none
+    return {f"{kind}_{name}": values for name, values in fields.items()}
+
+
+def _dents(bound: BoundGarment, shares: np.ndarray) -> dict[str, np.ndarray]:
+    """Fields dent_... of `BoundGarment`: for each detail node the vertex that goes with it most, where that hangs."""
+    if not len(bound.detail_nodes):
+        return {}
+    nodes = len(bound.detail_offsets) // 3
+    order = np.lexsort([bound.detail_weights.reshape(-1), bound.detail_nodes.reshape(-1)])
+    sorted_nodes = bound.detail_nodes.reshape(-1)[order]
+    last = np.flatnonzero(np.diff(sorted_nodes, append=nodes))
+    vertices, detail_nodes = order[last] // bound.detail_nodes.shape[1], sorted_nodes[last]
+    hangs = shares[vertices] > 0
+    return {
+        **_sampled(bound, vertices[hangs], "dent"),
+        "dent_nodes": np.ascontiguousarray(detail_nodes[hangs], dtype=np.int32),
+        "dent_shares": as_float32(shares[vertices[hangs]]),
+    }
 
 
 def _of_arms(rig: Rig, found: Limbs) -> np.ndarray:
@@ -122,6 +141,7 @@ def _described(parts: tuple[SkinPart, ...]) -> dict[str, np.ndarray]:
         "skin_frames": as_float32([part.frame for part in parts]),
         "skin_shapes": as_float32(shapes),
         "skin_bones": bones,
+        "skin_presses": np.array([part.presses for part in parts], dtype=np.int32),
         "skin_heights": heights,
         "skin_coefficients": as_float32([part.shape.coefficients for part in parts]),
     }

@@ -16,6 +16,7 @@ from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.separation.collision_shape import SkinByPart, trunk_of
 from physkin_core.separation.limb_chains import Limb, Limbs
+from physkin_core.separation.limb_shape import SkinPoints
 from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
 
 __all__ = ["SkinPart", "fit_skin_parts"]
@@ -26,6 +27,8 @@ FEWEST = 30
 """Skin points that a thigh or a shin must have."""
 BEYOND = 0.045
 """[m] by which both reach beyond the knee, which they round when it is bent."""
+SHORTEST = 1e-3
+"""[m] A part is longer."""
 MOST_BONES: int = native.constants["skin_bones"]
 """That turn a part."""
 MOST_ALONG_X = 0.9
@@ -46,6 +49,7 @@ class SkinPart:
     heights: tuple[float, ...]
     blend: float
     is_shin: bool = False
+    presses: bool = False
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """How deep canonical points (V, 3) are in it, (V,) [m], negative outside."""
@@ -63,43 +67,97 @@ class SkinPart:
 
 
 def fit_skin_parts(avatar: Avatar, rig: Rig, found: Limbs) -> tuple[SkinPart, ...]:
-    """Legs and trunk of a body, of the limbs found in its rig; those without skin or bones are left out."""
+    """Legs, trunk, forearms and hands of a body, of the limbs found in its rig; those without skin or bones are left
+    out. None where there are neither legs nor a trunk."""
     heads = avatar.bone_heads.astype(np.float64)
     skin = SkinByPart(avatar, rig, found)
-    legs = [(index, limb) for index, limb in enumerate(found.limbs) if not limb.is_arm]
-    parts = [part for index, limb in legs for part in _leg(limb, rig, heads, skin, index)]
+    parts = []
+    for index, limb in enumerate(found.limbs):
+        if not limb.is_arm:
+            parts += [*_leg(limb, rig, heads, skin, index), *_end(limb, heads, skin.of(3 * index + 2))]
     try:
         trunk = trunk_of(skin, found, heads)
+        heights = tuple(heads[list(found.trunk), 2].tolist())
+        parts.append(SkinPart(trunk, np.eye(3, 4), found.trunk, heights, BLEND))
     except ValueError:
-        return tuple(parts)
-    heights = tuple(heads[list(found.trunk), 2].tolist())
-    return (*parts, SkinPart(trunk, np.eye(3, 4), found.trunk, heights, BLEND))
+        pass
+    if not parts:
+        return ()
+    for index, limb in enumerate(found.limbs):
+        if limb.is_arm:
+            parts += [*_forearm(limb, rig, heads, skin.of(3 * index + 1)), *_end(limb, heads, skin.of(3 * index + 2))]
+    return tuple(parts)
 
 
 def _leg(limb: Limb, rig: Rig, heads: np.ndarray, skin: SkinByPart, index: int) -> list[SkinPart]:
     """Thigh and shin, as far as there are such."""
     hip, knee, ankle = heads[list(limb.ends)]
     length = float(np.linalg.norm(ankle - hip))
-    if length < 1e-3:
+    if length < SHORTEST:
         return []
     down = (ankle - hip) / length
-    across = np.eye(3)[0 if abs(down[0]) < MOST_ALONG_X else 1]
-    forward = across - (across @ down) * down
-    forward /= np.linalg.norm(forward)
-    turn = np.stack([forward, np.cross(down, forward), down])
-    frame = np.column_stack([turn, -turn @ hip])
+    turn = _axes(down)
     own = skin.of(3 * index, 3 * index + 1)
-    points = (own.points - hip) @ turn.T
     fold = float((knee - hip) @ down)
     parts = []
     for which, low, high in ((0, 0.0, fold + BEYOND), (1, fold - BEYOND, length)):
-        along = (points[:, 2] > low) & (points[:, 2] < high)
-        if along.sum() >= FEWEST:
-            shape = fit_trunk(points[along], own.areas[along], low, high)
-            first, *twisting = _moving(rig, *limb.ends[which : which + 2])
-            heights = (low, *((heads[twisting] - hip) @ down).tolist())
-            parts.append(SkinPart(shape, frame, (first, *twisting), heights, BLEND, which == 1))
+        bones = _moving(rig, *limb.ends[which : which + 2])
+        heights = ((heads[bones[1:]] - hip) @ down).tolist()
+        parts += _along(own, turn, hip, (low, high), bones, heights, is_shin=which == 1)
     return parts
+
+
+def _forearm(limb: Limb, rig: Rig, heads: np.ndarray, own: SkinPoints) -> list[SkinPart]:
+    """One, or none."""
+    elbow, wrist = heads[list(limb.ends[1:])]
+    length = float(np.linalg.norm(wrist - elbow))
+    if length < SHORTEST:
+        return []
+    down = (wrist - elbow) / length
+    bones = _moving(rig, *limb.ends[1:])
+    heights = ((heads[bones[1:]] - elbow) @ down).tolist()
+    return _along(own, _axes(down), elbow, (0.0, length), bones, heights, presses=True)
+
+
+def _end(limb: Limb, heads: np.ndarray, own: SkinPoints) -> list[SkinPart]:
+    """A hand or a foot, about the longest axis of its skin; or none."""
+    if len(own.points) < FEWEST:
+        return []
+    share = own.areas / own.areas.sum()
+    middle = share @ own.points
+    along = np.linalg.eigh((own.points - middle).T @ (share[:, None] * (own.points - middle)))[1][:, 2]
+    along = along if along @ (middle - heads[limb.ends[2]]) > 0 else -along
+    low, high = np.quantile((own.points - middle) @ along, [0.01, 0.99])
+    return _along(own, _axes(along), middle, (low, high), [limb.ends[2]], [], presses=limb.is_arm)
+
+
+def _axes(down: np.ndarray) -> np.ndarray:
+    """(3, 3) unit axes: forward as far as it is across, and, the third, a unit direction (3,)."""
+    across = np.eye(3)[0 if abs(down[0]) < MOST_ALONG_X else 1]
+    forward = across - (across @ down) * down
+    forward /= np.linalg.norm(forward)
+    return np.stack([forward, np.cross(down, forward), down])
+
+
+def _along(
+    own: SkinPoints,
+    turn: np.ndarray,
+    origin: np.ndarray,
+    reach: tuple[float, float],
+    bones: list[int],
+    heights: list[float],
+    **kind: bool,
+) -> list[SkinPart]:
+    """A part fitted to skin within its reach along the last axis of `turn` (3, 3) from its origin (3,), turned by
+    bones, which take over at heights from the second on; or none where there is hardly any skin."""
+    points = (own.points - origin) @ turn.T
+    low, high = reach
+    along = (points[:, 2] > low) & (points[:, 2] < high)
+    if along.sum() < FEWEST or high - low < SHORTEST:
+        return []
+    shape = fit_trunk(points[along], own.areas[along], low, high)
+    frame = np.column_stack([turn, -turn @ origin])
+    return [SkinPart(shape, frame, tuple(bones), (low, *heights), BLEND, **kind)]
 
 
 def _moving(rig: Rig, first: int, last: int) -> list[int]:

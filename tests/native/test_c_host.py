@@ -294,7 +294,7 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
     "change, message",
     [
         (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
-        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 5"),
+        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 6"),
         (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
         (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
         (lambda h: h["__metadata__"].pop("format"), "no metadata format"),

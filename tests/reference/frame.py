@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from reference.cloth_dents import dents
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
 from reference.layer_order import LayerOrder
@@ -39,7 +40,7 @@ class ReferenceFrame:
         layers = []
         for garment, row, jumped in zip(self._garments, inputs, jumps):
             nodes = garment.drape(q, row, jumped)
-            positions, normals = skin(garment.bound, nodes, garment.features)
+            positions, normals = skin(garment.bound, nodes, garment.features, garment.dents)
             layers.append(np.concatenate([positions, unit(normals)], axis=1))
         for outer in range(len(layers)):
             for steady, yielding, order in self._orders:
@@ -94,5 +95,6 @@ class _Garment:
         if row.twist and bound.node_twist.any():
             nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
         sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
-        self.nodes = kept_out(bound, bones, nodes, sway, self.features)
+        self.nodes, still_moved = kept_out(bound, bones, nodes, sway, self.features)
+        self.dents = dents(bound, bones, self.nodes, still_moved, self.features)
         return self.nodes

@@ -19,10 +19,10 @@ WORTHWHILE, CARRIES, REACH, AGAINST = 0.002, 0.1, 0.05, 0.5
 
 
 def kept_out(bound, bones, nodes, sway, features=()):
-    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4). sway: (m, 3, 4) what it has added to them.
-    features: (F,), of a garment with detail."""
+    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4), and which of them still were in the last pass,
+    (m,) bool. sway: (m, 3, 4) what it has added to them. features: (F,), of a garment with detail."""
     if not len(bound.guard_vertices):
-        return nodes
+        return nodes, np.zeros(len(nodes), dtype=bool)
     nodes = nodes.copy()
     sampled = SkinningData(
         node_rest=bound.node_rest,
@@ -53,12 +53,12 @@ def kept_out(bound, bones, nodes, sway, features=()):
             counted += share.sum(axis=0)
             moved += share.T @ (lack[:, None] * normal)
         nodes[:, :, 3] += np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
-    return nodes
+    return nodes, counted > 1e-9
 
 
 def _lacks(bound, bones, at):
     """What samples (s, 3) lack in each part of the skin, (s,) [m], and the ways out, (s, 3)."""
-    for part in range(len(bound.skin_frames)):
+    for part in np.flatnonzero(bound.skin_presses == 0):
         depth, normal = skin_depth(bound, part, bones, at)
         lack, normal = _led_back(bound, part, bones, at, depth, _soft(depth + bound.guard_gaps[part]), normal)
         yield bound.guard_shares * np.clip((TOO_DEEP - depth) / FADE, 0, 1) * np.maximum(lack, 0), normal

@@ -39,7 +39,11 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       feature_pace_(g.has_detail() ? std::make_optional<FeaturePace>(g, arena_) : std::optional<FeaturePace>()),
-      skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, kernels, arena_) : std::optional<SkinGuard>()),
+      skin_(skin_parts(g, arena_)),
+      skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, skin_, kernels, arena_)
+                                 : std::optional<SkinGuard>()),
+      cloth_dents_(g.is_dented() ? std::make_optional<ClothDents>(g, skin_, kernels, arena_)
+                                 : std::optional<ClothDents>()),
       skinner_(g, options.precision, kernels, arena_, options.normals),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
@@ -117,10 +121,12 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
     pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_);
   }
   garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
+  for (SkinPart& part : skin_) part.pose(bone_transforms_);
   if (skin_guard_) {
     const SkinGuard::Cloth cloth{corrections_, still_corrections_, detail_offsets_};
     skin_guard_->keep_out(garment_nodes_, bone_transforms_, cloth, node_transforms_);
   }
+  if (cloth_dents_) detail_offsets_ = cloth_dents_->dent(*skin_guard_, node_transforms_, detail_offsets_);
 }
 
 }  // namespace physkin

@@ -3,6 +3,7 @@
 
 #include <optional>
 
+#include "evaluator/cloth_dents.hpp"
 #include "evaluator/garment_input.hpp"
 #include "evaluator/garment_nodes.hpp"
 #include "evaluator/learnt_sway.hpp"
@@ -10,6 +11,7 @@
 #include "evaluator/pace.hpp"
 #include "evaluator/rig.hpp"
 #include "evaluator/skin_guard.hpp"
+#include "evaluator/skin_part.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
@@ -81,7 +83,9 @@ class GarmentEvaluator {
   GarmentNodes garment_nodes_;
   Pace pace_;
   std::optional<FeaturePace> feature_pace_;
+  std::vector<SkinPart> skin_;  // that cloth is kept out of
   std::optional<SkinGuard> skin_guard_;
+  std::optional<ClothDents> cloth_dents_;
   Skinner skinner_;
   int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;

@@ -15,8 +15,6 @@ constexpr float kSoft = 0.002f;
 constexpr float kTooDeep = 0.15f, kFade = 0.05f;
 // [m] Samples this much farther off than they must be may lack something when others are moved, or a bone turns.
 constexpr float kAside = 0.01f;
-// Garment nodes whose samples lack less than this [m] together stay.
-constexpr float kLeast = 1e-9f;
 // [m] Sway that costs a sample less than this is not worth taking away for what it lacks.
 constexpr float kWorthwhile = 0.002f;
 // A garment node that carries this much of a sample sways as little as the sample needs.
@@ -26,53 +24,6 @@ constexpr float kReach = 0.05f, kAgainst = 0.5f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.
 constexpr int kPasses = 2;
 
-// Along a part's axis: where its bones begin, and where the last one ends.
-float height_of(const TrunkField& field, int bone) {
-  return bone == 0 ? field.low : bone == field.bones ? field.high : field.heights[bone];
-}
-
-// [m] The largest radius between two heights, by the splines that reach there, in some directions.
-float widest(const TrunkField& field, float from, float to) {
-  constexpr int kDirections = 32;
-  const float scale = float(field.splines - 2) / (field.high - field.low), most_cells = float(field.splines - 2);
-  const auto cell = [&](float height) { return int(std::clamp((height - field.low) * scale, 0.0f, most_cells)); };
-  const int first = cell(from), last = std::max(first, std::min(cell(to) + 2, field.splines - 1));
-  float most = 0;
-  for (int spline = first; spline <= last; ++spline) {
-    const float* waves = field.coefficients + kTrunkWaves * spline;
-    for (int k = 0; k < kDirections; ++k) {
-      float radius = waves[0];
-      for (int h = 1; 2 * h < kTrunkWaves; ++h) {
-        const float angle = 6.2831853f * float(h * k) / kDirections;
-        radius += waves[2 * h - 1] * std::cos(angle) + waves[2 * h] * std::sin(angle);
-      }
-      most = std::max(most, radius);
-    }
-  }
-  return most;
-}
-
-// To whole calls of the kernel.
-int padded(int count) { return (count + kTrunkPoints - 1) / kTrunkPoints * kTrunkPoints; }
-
-SkinningData samples_of(const BoundGarment& g) {
-  SkinningData data;
-  data.nodes = g.nodes;
-  data.vertex_count = g.guard_samples;
-  data.influences = g.guard_influences;
-  data.node_rest = g.node_rest;
-  data.vertices = g.guard_vertices;
-  data.normals = g.guard_vertices;  // nobody asks for them
-  data.influence_nodes = g.guard_influence_nodes;
-  data.influence_weights = g.guard_influence_weights;
-  data.detail_vertices = g.guard_detail_influences > 0 ? g.guard_samples : 0;
-  data.detail_influences = g.guard_detail_influences;
-  data.detail_numbers = g.detail_numbers;
-  data.detail_nodes = g.guard_detail_nodes;
-  data.detail_weights = g.guard_detail_weights;
-  return data;
-}
-
 // Of kTrunkPoints values, by their signs: in vector registers.
 bool none_below_zero(const float* values) {
   std::int32_t bits[kTrunkPoints], signs = 0;
@@ -81,43 +32,26 @@ bool none_below_zero(const float* values) {
   return signs >= 0;
 }
 
-// Views of each block by itself.
-std::vector<SkinningBlocks> one_by_one(const SkinningBlocks& all) {
-  std::vector<SkinningBlocks> blocks;
-  for (int block = 0; block < all.block_count; ++block) {
-    SkinningBlocks& one = blocks.emplace_back(all);
-    one.vertex_count = std::min(all.vertex_count - block * kBlock, kBlock);
-    one.block_count = 1;
-    one.influence_start += block;
-    one.rest += std::ptrdiff_t(block) * 6 * kBlock;
-    one.vertex += std::ptrdiff_t(block) * kBlock;
-    if (one.detail_start != nullptr) one.detail_start += block;
-  }
-  return blocks;
-}
-
 }  // namespace
 
-SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena)
+SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(g.nodes),
-      samples_(g.guard_samples),
-      rows_(padded(samples_)),
-      influences_(g.guard_influences),
-      detail_influences_(g.guard_detail_influences),
-      blocks_(one_by_one(pack_skinning_blocks(samples_of(g), arena))),
-      is_near_(arena.take<bool>(blocks_.size())),
+      cloth_(g, g.guard, kernels, arena),
+      samples_(cloth_.count()),
+      rows_(cloth_.rows()),
+      influences_(g.guard.influences),
+      detail_influences_(g.guard.detail_influences),
+      is_near_(arena.take<bool>(cloth_.blocks())),
       block_of_(arena.take<std::int32_t>(samples_)),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(nodes_))),
       matrices_(arena.take<float>(12 * std::size_t(nodes_))),
-      rest_(arena.copy(g.guard_vertices, 3 * std::size_t(samples_))),
-      influence_nodes_(arena.copy(g.guard_influence_nodes, std::size_t(samples_) * influences_)),
-      influence_weights_(arena.copy(g.guard_influence_weights, std::size_t(samples_) * influences_)),
-      detail_nodes_(arena.copy(g.guard_detail_nodes, std::size_t(samples_) * detail_influences_)),
-      detail_weights_(arena.copy(g.guard_detail_weights, std::size_t(samples_) * detail_influences_)),
+      rest_(arena.copy(g.guard.vertices, 3 * std::size_t(samples_))),
+      influence_nodes_(arena.copy(g.guard.influence_nodes, std::size_t(samples_) * influences_)),
+      influence_weights_(arena.copy(g.guard.influence_weights, std::size_t(samples_) * influences_)),
+      detail_nodes_(arena.copy(g.guard.detail_nodes, std::size_t(samples_) * detail_influences_)),
+      detail_weights_(arena.copy(g.guard.detail_weights, std::size_t(samples_) * detail_influences_)),
       shares_(arena.copy(g.guard_shares, samples_)),
-      skinned_(arena.take<float>(3 * std::size_t(samples_))),
-      positions_(arena.take<float>(3 * std::size_t(rows_))),
       beyond_(arena.take<float>(rows_)),
       points_(arena.take<float>(3 * std::size_t(rows_))),
       contacts_(arena.take<float>(4 * std::size_t(rows_))),
@@ -125,29 +59,22 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
       stilled_(arena.take<float>(nodes_)),
       sums_(arena.take<float>(4 * std::size_t(nodes_))) {
-  for (std::size_t block = 0; block < blocks_.size(); ++block) {
-    for (int lane = 0; lane < blocks_[block].vertex_count; ++lane) block_of_[blocks_[block].vertex[lane]] = int(block);
+  for (int block = 0; block < cloth_.blocks(); ++block) {
+    for (int lane = 0; lane < cloth_.size(block); ++lane) block_of_[cloth_.sample(block, lane)] = block;
   }
-  const std::size_t coefficients = std::size_t(g.skin_splines) * kTrunkWaves;
-  for (int k = 0; k < g.skin_parts; ++k) {
-    const float* shape = g.skin_shapes + 5 * k;
-    Part part;
-    part.bones = arena.copy(g.skin_bones + kSkinBones * k, kSkinBones);
-    part.frame = arena.copy(g.skin_frames + 12 * k, 12);
-    part.back = arena.take<float>(12 * kSkinBones);
-    const float* heights = arena.copy(g.skin_heights + kSkinBones * k, kSkinBones);
-    const float* waves = arena.copy(g.skin_coefficients + coefficients * k, coefficients);
-    part.field = {1, g.skin_splines, shape[0], shape[1], shape[2], shape[3], shape[4], part.back, heights, waves};
-    const float* ways = g.guard_ways + std::size_t(k) * 2 * samples_;
+  for (std::size_t k = 0; k < skin.size(); ++k) {
+    if (skin[k].presses) continue;
+    const float* ways = g.guard_ways + k * 2 * samples_;
     const bool leads = std::any_of(ways, ways + 2 * samples_, [](float way) { return way != 0; });
-    part.ways = leads ? arena.copy(ways, 2 * std::size_t(samples_)) : nullptr;
-    part.reach = leads ? kReach : kAside;
-    while (part.field.bones < kSkinBones && heights[part.field.bones] < kNoHeight) ++part.field.bones;
-    for (int bone = 0; bone < part.field.bones; ++bone) {
-      part.widths[bone] = widest(part.field, height_of(part.field, bone), height_of(part.field, bone + 1)) + part.reach;
-    }
-    part.gaps = arena.copy(g.guard_gaps + std::size_t(k) * samples_, samples_);
-    part.near = arena.take<std::int32_t>(rows_ + 1);
+    Part part{skin[k],
+              {},
+              arena.copy(g.guard_gaps + k * samples_, samples_),
+              nullptr,
+              leads ? kReach : kAside,
+              arena.take<std::int32_t>(rows_ + 1),
+              0};
+    if (leads) part.ways = arena.copy(ways, 2 * std::size_t(samples_));
+    for (int bone = 0; bone < kSkinBones; ++bone) part.widths[bone] = skin[k].widths[bone] + part.reach;
     parts_.push_back(part);
   }
 }
@@ -155,7 +82,6 @@ SkinGuard::SkinGuard(const BoundGarment& g, const Kernels& kernels, Arena& arena
 void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                          float* node_transforms) noexcept {
   offsets_ = cloth.detail_offsets;
-  for (Part& part : parts_) pose(part, bone_transforms);
   leads_far_ = true;
   for (int pass = 0; pass < kPasses; ++pass) {
     place_samples(node_transforms, leads_far_);
@@ -163,7 +89,8 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
       for (Part& part : parts_) find_near(part);
     }
     leads_far_ = false;
-    if (!find_lacks()) return;
+    any_moved_ = find_lacks();
+    if (!any_moved_) return;
     if (pass == 0 && cloth.corrections != cloth.still) {
       sway_less(nodes, bone_transforms, cloth, node_transforms);
     }
@@ -172,42 +99,20 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
 }
 
 void SkinGuard::place_samples(const float* node_transforms, bool all) noexcept {
-  std::fill_n(is_near_, blocks_.size(), all);
+  std::fill_n(is_near_, cloth_.blocks(), all);
   if (!all) {
     for (const Part& part : parts_) {
       for (int k = 0; k < part.near_count; ++k) is_near_[block_of_[part.near[k]]] = true;
     }
   }
   skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
-  for (std::size_t block = 0; block < blocks_.size(); ++block) {
-    if (!is_near_[block]) continue;
-    const SkinningBlocks& one = blocks_[block];
-    kernels_.skin(one, matrices_, offsets_, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
-    for (int lane = 0; lane < one.vertex_count; ++lane) {
-      const std::ptrdiff_t s = one.vertex[lane];
-      for (int axis = 0; axis < 3; ++axis) positions_[axis * rows_ + s] = skinned_[3 * s + axis];
-    }
-  }
-}
-
-void SkinGuard::pose(Part& part, const float* bone_transforms) const noexcept {
-  const Affine frame = load_affine(part.frame);
-  for (int k = 0; k < part.field.bones; ++k) {
-    const Affine bone = load_affine(bone_transforms + 12 * part.bones[k]);
-    const Matrix3 back = frame.linear * from_columns(bone.linear.rows[0], bone.linear.rows[1], bone.linear.rows[2]);
-    store_affine({back, frame.translation - back * bone.translation}, part.back + 12 * k);
-  }
-  for (int k = 0; k <= part.field.bones; ++k) {
-    const Affine back = load_affine(part.back + 12 * std::min(k, part.field.bones - 1));
-    const Vector3 from = Vector3{part.field.x, part.field.y, height_of(part.field, k)} - back.translation;
-    const Vector3 at = from.x * back.linear.rows[0] + from.y * back.linear.rows[1] + from.z * back.linear.rows[2];
-    const float posed[] = {at.x, at.y, at.z};
-    std::copy_n(posed, 3, part.axis + 3 * k);
+  for (int block = 0; block < cloth_.blocks(); ++block) {
+    if (is_near_[block]) cloth_.place(block, matrices_, offsets_);
   }
 }
 
 void SkinGuard::find_near(Part& part) noexcept {
-  kernels_.axis_beyond(part.axis, part.widths, part.field.bones, positions_, rows_, beyond_);
+  kernels_.axis_beyond(part.skin.axis, part.widths, part.skin.field.bones, cloth_.positions(), rows_, beyond_);
   part.near_count = 0;
   for (int first = 0; first < samples_; first += kTrunkPoints) {
     if (none_below_zero(beyond_ + first)) continue;
@@ -225,14 +130,14 @@ bool SkinGuard::find_lacks() noexcept {
 }
 
 void SkinGuard::add_lacks(Part& part) noexcept {
-  const int count = part.near_count, rows = padded(count);
+  const int count = part.near_count, rows = padded_to_points(count);
   if (count == 0) return;
   std::fill_n(part.near + count, rows - count, part.near[count - 1]);
   for (int axis = 0; axis < 3; ++axis) {
-    const float* from = positions_ + axis * rows_;
+    const float* from = cloth_.positions() + axis * rows_;
     for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[k]];
   }
-  kernels_.trunk_depth(part.field, points_, rows, contacts_);
+  kernels_.trunk_depth(part.skin.field, points_, rows, contacts_);
   part.near_count = 0;
   for (int k = 0; k < count; ++k) {
     const int s = part.near[k];
@@ -252,15 +157,15 @@ void SkinGuard::add_lacks(Part& part) noexcept {
 }
 
 void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack) noexcept {
-  const Affine back = load_affine(part.back);
+  const Affine back = load_affine(part.skin.back);
   const float* way = part.ways + 2 * sample;
   const Vector3 out = way[0] * back.linear.rows[0] + way[1] * back.linear.rows[1];
   const float against = std::min(-dot(lack.normal, out) / kAgainst, 1.0f);
   if (!(against > 0)) return;
   leads_far_ = true;
   const float turned = against * against * (3 - 2 * against);
-  const Vector3 at = back.linear * load_vector(skinned_ + 3 * sample) + back.translation;
-  const float x = at.x - part.field.x, y = at.y - part.field.y;
+  const Vector3 at = back.linear * cloth_.at(sample) + back.translation;
+  const float x = at.x - part.skin.field.x, y = at.y - part.skin.field.y;
   const Vector3 towards = normalized((1 - turned) * lack.normal + turned * out);
   const float tx = dot(towards, back.linear.rows[0]), ty = dot(towards, back.linear.rows[1]);
   const float flat = std::sqrt(tx * tx + ty * ty + 1e-6f), along = (x * tx + y * ty) / flat;

@@ -7,8 +7,9 @@
 #include <vector>
 
 #include "evaluator/affine.hpp"
+#include "evaluator/cloth_samples.hpp"
 #include "evaluator/garment_nodes.hpp"
-#include "evaluator/skinner.hpp"
+#include "evaluator/skin_part.hpp"
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
 #include "kernels/kernels.hpp"
@@ -17,8 +18,9 @@ namespace physkin {
 
 class SkinGuard {
  public:
-  // Of a garment that is guarded. The data must be valid; they are copied into the arena.
-  SkinGuard(const BoundGarment& garment, const Kernels& kernels, Arena& arena);
+  // Of a garment that is guarded, and its skin, which outlives this. The data must be valid; they are copied into the
+  // arena.
+  SkinGuard(const BoundGarment& garment, const std::vector<SkinPart>& skin, const Kernels& kernels, Arena& arena);
 
   // What led to the garment nodes of a frame: corrections (nodes, 12), those without sway, or the same, and what detail
   // nodes (detail nodes, 3) are moved by, null without detail.
@@ -26,23 +28,26 @@ class SkinGuard {
     const float *corrections, *still, *detail_offsets;
   };
 
-  // Moves node_transforms (nodes, 3, 4). bone_transforms (bones, 3, 4). Allocates nothing.
+  // Moves node_transforms (nodes, 3, 4). bone_transforms (bones, 3, 4), as which the skin is posed. Allocates nothing.
   void keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                 float* node_transforms) noexcept;
 
+  // Whether garment nodes, or one of them, still had to be moved in the last pass over a frame.
+  bool any_moved() const { return any_moved_; }
+  bool has_moved(int node) const { return sums_[4 * node + 3] > kLeast; }
+
  private:
-  // A part of the skin. Around each stretch of its axis, from a bone to the next, it lies within a width [m].
+  // Garment nodes whose samples lack less than this [m] together stay.
+  static constexpr float kLeast = 1e-9f;
+
+  // A part of the body, and the samples that it may touch.
   struct Part {
-    TrunkField field;
-    const std::int32_t* bones;
-    const float* frame;  // (3, 4) from the canonical pose to the field's own axes
-    float* back;         // what field.back points to
-    float widths[kSkinBones];
-    float axis[3 * (kSkinBones + 1)];  // posed
-    const float* gaps;                 // (samples,) [m]
-    const float* ways;                 // (samples, 2), null where all are zero
-    float reach;                       // [m] from which samples are looked at
-    std::int32_t* near;                // (rows + 1,) samples in this frame, near_count of them
+    const SkinPart& skin;
+    float widths[kSkinBones];  // [m] about its axis, within which samples are looked at
+    const float* gaps;         // (samples,) [m]
+    const float* ways;         // (samples, 2), null where all are zero
+    float reach;               // [m] from which samples are looked at
+    std::int32_t* near;        // (rows + 1,) samples in this frame, near_count of them
     int near_count;
   };
 
@@ -54,7 +59,6 @@ class SkinGuard {
     float cost;
   };
 
-  void pose(Part& part, const float* bone_transforms) const noexcept;
   // All samples, or only those in a block with one that is near a part.
   void place_samples(const float* node_transforms, bool all) noexcept;
   void find_near(Part& part) noexcept;
@@ -72,27 +76,27 @@ class SkinGuard {
   void move_nodes(float* node_transforms) noexcept;
 
   const Kernels& kernels_;
-  int nodes_, samples_, rows_, influences_, detail_influences_;  // rows_: samples to whole calls of the kernel
-  std::vector<SkinningBlocks> blocks_;                           // of one block each
-  bool* is_near_;                                                // (blocks,)
-  std::int32_t* block_of_;                                       // (samples,)
-  const float* node_rest_;                                       // (nodes, 3)
-  float* matrices_;                                              // (nodes, 3, 4)
-  const float* offsets_ = nullptr;                               // of detail nodes in this frame
-  const float* rest_;                                            // (samples, 3)
+  int nodes_;
+  ClothSamples cloth_;
+  int samples_, rows_, influences_, detail_influences_;
+  bool* is_near_;                   // (blocks,)
+  std::int32_t* block_of_;          // (samples,)
+  const float* node_rest_;          // (nodes, 3)
+  float* matrices_;                 // (nodes, 3, 4)
+  const float* offsets_ = nullptr;  // of detail nodes in this frame
+  const float* rest_;               // (samples, 3)
   const std::int32_t* influence_nodes_;
   const float* influence_weights_;
   const std::int32_t* detail_nodes_;
   const float* detail_weights_;
   const float* shares_;  // (samples,)
   std::vector<Part> parts_;
-  float* skinned_;    // (samples, 3)
-  float* positions_;  // (3, rows)
-  float* beyond_;     // (rows,) squared [m2], below zero within the width of a part
-  float* points_;     // (3, rows) of those near a part, and (4, rows) what the kernel says of them
+  float* beyond_;  // (rows,) squared [m2], below zero within the width of a part
+  float* points_;  // (3, rows) of those near a part, and (4, rows) what the kernel says of them
   float* contacts_;
   Lack* lacks_;  // lack_count_ of them, at most (parts * samples)
   int lack_count_ = 0;
+  bool any_moved_ = false;
   bool leads_far_ = false;  // samples that were not near before may be so after a move
   float* sway_;             // (nodes, 3, 4) what it has added to their transforms, where stilled_ is not below zero
   float* stilled_;          // (nodes,) share of sway taken away, 0 to 1

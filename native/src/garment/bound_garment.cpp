@@ -38,6 +38,16 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
   visit.floats("detail_weights", d.detail_weights, {&d.detail_vertices, &d.detail_influences});
 }
 
+template <class Visitor>
+void visit_sampling(const BoundGarment& g, const std::string& prefix, ClothSampling& of, Visitor&& visit) {
+  visit.floats((prefix + "vertices").c_str(), of.vertices, {&of.samples, 3});
+  visit.indices((prefix + "influence_nodes").c_str(), of.influence_nodes, {&of.samples, &of.influences}, 0, g.nodes);
+  visit.floats((prefix + "influence_weights").c_str(), of.influence_weights, {&of.samples, &of.influences});
+  visit.indices((prefix + "detail_nodes").c_str(), of.detail_nodes, {&of.samples, &of.detail_influences}, 0,
+                g.detail_numbers / 3);
+  visit.floats((prefix + "detail_weights").c_str(), of.detail_weights, {&of.samples, &of.detail_influences});
+}
+
 // The same, and visit.layers(name, layers).
 template <class Visitor>
 void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
@@ -60,18 +70,17 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("sway_rates", g.sway_rates, {&g.sway_states});
   visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
   visit_skinning_data(g, visit);
-  visit.floats("guard_vertices", g.guard_vertices, {&g.guard_samples, 3});
-  visit.indices("guard_influence_nodes", g.guard_influence_nodes, {&g.guard_samples, &g.guard_influences}, 0, g.nodes);
-  visit.floats("guard_influence_weights", g.guard_influence_weights, {&g.guard_samples, &g.guard_influences});
-  visit.indices("guard_detail_nodes", g.guard_detail_nodes, {&g.guard_samples, &g.guard_detail_influences}, 0,
-                g.detail_numbers / 3);
-  visit.floats("guard_detail_weights", g.guard_detail_weights, {&g.guard_samples, &g.guard_detail_influences});
-  visit.floats("guard_shares", g.guard_shares, {&g.guard_samples});
-  visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard_samples});
-  visit.floats("guard_ways", g.guard_ways, {&g.skin_parts, &g.guard_samples, 2});
+  visit_sampling(g, "guard_", g.guard, visit);
+  visit.floats("guard_shares", g.guard_shares, {&g.guard.samples});
+  visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard.samples});
+  visit.floats("guard_ways", g.guard_ways, {&g.skin_parts, &g.guard.samples, 2});
+  visit_sampling(g, "dent_", g.dent, visit);
+  visit.indices("dent_nodes", g.dent_nodes, {&g.dent.samples}, 0, g.detail_numbers / 3);
+  visit.floats("dent_shares", g.dent_shares, {&g.dent.samples});
   visit.floats("skin_frames", g.skin_frames, {&g.skin_parts, 3, 4});
   visit.floats("skin_shapes", g.skin_shapes, {&g.skin_parts, 5});
   visit.indices("skin_bones", g.skin_bones, {&g.skin_parts, kSkinBones}, 0, g.bones);
+  visit.indices("skin_presses", g.skin_presses, {&g.skin_parts}, 0, 2);
   visit.floats("skin_heights", g.skin_heights, {&g.skin_parts, kSkinBones});
   visit.floats("skin_coefficients", g.skin_coefficients, {&g.skin_parts, &g.skin_splines, kTrunkWaves});
 }
@@ -125,9 +134,12 @@ struct Describer {
                                                         {&g.face_count, "faces"},
                                                         {&g.sway_joint_count, "sway joints"},
                                                         {&g.sway_states, "oscillators"},
-                                                        {&g.guard_samples, "guard samples"},
-                                                        {&g.guard_influences, "guard influences"},
-                                                        {&g.guard_detail_influences, "guard detail influences"},
+                                                        {&g.guard.samples, "guard samples"},
+                                                        {&g.guard.influences, "guard influences"},
+                                                        {&g.guard.detail_influences, "guard detail influences"},
+                                                        {&g.dent.samples, "dent samples"},
+                                                        {&g.dent.influences, "dent influences"},
+                                                        {&g.dent.detail_influences, "dent detail influences"},
                                                         {&g.skin_parts, "skin parts"},
                                                         {&g.skin_splines, "skin splines"},
                                                         {&g.detail_vertices, "detail vertices"},
@@ -222,6 +234,14 @@ void check_sway(const BoundGarment& g) {
   }
 }
 
+void check_sampling(const BoundGarment& g, const std::string& prefix, const ClothSampling& of) {
+  if (of.samples > 0 && of.influences < 1) fail(prefix + "influence_nodes: a sample needs an influence");
+  if (of.samples > 0 && (of.detail_influences > 0) != g.has_detail()) {
+    fail(prefix + "detail_nodes are " + std::to_string(of.detail_influences) +
+         " a sample; expected none of a garment without detail, and at least one with detail");
+  }
+}
+
 // A part of the skin: a height range to be spread over, and splines that reach over it.
 void check_skin(const BoundGarment& g) {
   for (int k = 0; k < g.skin_parts; ++k) {
@@ -234,11 +254,8 @@ void check_skin(const BoundGarment& g) {
   if (g.skin_parts > 0 && g.skin_splines < 3) {
     fail("skin_coefficients have " + std::to_string(g.skin_splines) + " splines; at least 3 are needed");
   }
-  if (g.guard_samples > 0 && g.guard_influences < 1) fail("guard_influence_nodes: a sample needs an influence");
-  if (g.guard_samples > 0 && (g.guard_detail_influences > 0) != g.has_detail()) {
-    fail("guard_detail_nodes are " + std::to_string(g.guard_detail_influences) +
-         " a sample; expected none of a garment without detail, and at least one with detail");
-  }
+  check_sampling(g, "guard_", g.guard);
+  check_sampling(g, "dent_", g.dent);
 }
 
 void check_sizes(const SkinningData& d) {

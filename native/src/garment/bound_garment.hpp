@@ -30,11 +30,21 @@ struct SkinningData {
   bool has_detail() const { return detail_vertices > 0; }
 };
 
+// Places of a garment at rest that are looked at before it is skinned.
+struct ClothSampling {
+  int samples = -1, influences = -1, detail_influences = -1;
+  const float* vertices = nullptr;                // (samples, 3)
+  const std::int32_t* influence_nodes = nullptr;  // (samples, influences)
+  const float* influence_weights = nullptr;       // (samples, influences)
+  const std::int32_t* detail_nodes = nullptr;     // (samples, detail_influences), none without detail
+  const float* detail_weights = nullptr;          // (samples, detail_influences)
+};
+
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1;
   int sway_joint_count = -1, sway_states = -1;
-  int guard_samples = -1, guard_influences = -1, guard_detail_influences = -1, skin_parts = -1, skin_splines = -1;
+  int skin_parts = -1, skin_splines = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -60,21 +70,23 @@ struct BoundGarment : SkinningData {
   const float* sway_rates = nullptr;  // (sway_states,) 1/s
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
   bool sways_by_network() const { return !sway_layers.empty(); }
-  // Samples of cloth that hangs free, at rest, and the skin that they are kept out of; or none. See SkinGuard.
-  const float* guard_vertices = nullptr;                // (guard_samples, 3)
-  const std::int32_t* guard_influence_nodes = nullptr;  // (guard_samples, guard_influences)
-  const float* guard_influence_weights = nullptr;       // (guard_samples, guard_influences)
-  const std::int32_t* guard_detail_nodes = nullptr;     // (guard_samples, guard_detail_influences), none without detail
-  const float* guard_detail_weights = nullptr;          // (guard_samples, guard_detail_influences)
-  const float* guard_shares = nullptr;                  // (guard_samples,) how free each hangs, 0 to 1
-  const float* guard_gaps = nullptr;                    // (skin_parts, guard_samples) kept from the part's skin
-  const float* guard_ways = nullptr;         // (skin_parts, guard_samples, 2) back over a shin, in the part's x, y
-  const float* skin_frames = nullptr;        // (skin_parts, 3, 4) from the canonical pose to the part's own axes
-  const float* skin_shapes = nullptr;        // (skin_parts, 5) x, y, low, high, blend as in TrunkField
-  const std::int32_t* skin_bones = nullptr;  // (skin_parts, kSkinBones)
-  const float* skin_heights = nullptr;       // (skin_parts, kSkinBones) that each takes over at; kNoHeight: none
-  const float* skin_coefficients = nullptr;  // (skin_parts, skin_splines, kTrunkWaves)
-  bool is_guarded() const { return guard_samples > 0 && skin_parts > 0; }
+  // Samples of cloth that hangs free, and the skin that they are kept out of; or none. See SkinGuard.
+  ClothSampling guard;
+  const float* guard_shares = nullptr;  // (guard samples,) how free each hangs, 0 to 1
+  const float* guard_gaps = nullptr;    // (skin_parts, guard samples) kept from the part's skin
+  const float* guard_ways = nullptr;    // (skin_parts, guard samples, 2) back over a shin, in the part's x, y
+  // Samples of the same cloth, one a detail node; or none. See ClothDents.
+  ClothSampling dent;
+  const std::int32_t* dent_nodes = nullptr;    // (dent samples,) detail node of each
+  const float* dent_shares = nullptr;          // (dent samples,) how free each hangs, 0 to 1
+  const float* skin_frames = nullptr;          // (skin_parts, 3, 4) from the canonical pose to the part's own axes
+  const float* skin_shapes = nullptr;          // (skin_parts, 5) x, y, low, high, blend as in TrunkField
+  const std::int32_t* skin_bones = nullptr;    // (skin_parts, kSkinBones)
+  const std::int32_t* skin_presses = nullptr;  // (skin_parts,) 1 of an arm: cloth is between it and the body; else 0
+  const float* skin_heights = nullptr;         // (skin_parts, kSkinBones) that each takes over at; kNoHeight: none
+  const float* skin_coefficients = nullptr;    // (skin_parts, skin_splines, kTrunkWaves)
+  bool is_guarded() const { return guard.samples > 0 && skin_parts > 0; }
+  bool is_dented() const { return is_guarded() && dent.samples > 0; }
 };
 
 // Bones of a part of the skin, and the height of one that is not there.
@@ -92,7 +104,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "5";
+constexpr char kBoundGarmentVersion[] = "6";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

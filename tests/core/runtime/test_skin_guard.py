@@ -1,4 +1,4 @@
-"""Cloth that hangs free stays out of legs and trunk; nothing else is touched."""
+"""Cloth that hangs free stays out of legs and trunk, and gives way to hands; nothing else is touched."""
 
 from dataclasses import replace
 
@@ -146,6 +146,51 @@ def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
     assert moved > 1e-4
 
 
+def reached(rig, frames: int) -> np.ndarray:
+    """(frames, d) [rad] a left hand that goes from rest through the skirt, beside the hip."""
+    positions = np.tile(rig.rest, (frames, 1)).astype(np.float32)
+    for joint, by in (("clavicle.L_x", -0.25), ("upperarm01.L_x", -0.4), ("upperarm01.L_z", 0.4)):
+        positions[:, rig.joint_names.index(joint)] += by * np.linspace(0, 1, frames, dtype=np.float32)
+    return positions
+
+
+@pytest.fixture(scope="module")
+def circleskirt():
+    return on_the_avatar(load_garment_model("circleskirt"))
+
+
+def test_a_hand_presses_the_cloth_in(circleskirt):
+    """A quarter less cloth is outside a hand that reaches into it, where it would hide the fingers."""
+    rig, bound, avatar = circleskirt.layer.model.rig, circleskirt.layer.given, circleskirt.avatar
+    motion = reached(rig, 12)
+    undented = replace(bound, dent_shares=np.zeros_like(bound.dent_shares))
+    wrist = rig.bone_names.index("wrist.L")
+    hand = np.isin(avatar.influence_bones[:, 0], [k for k in range(len(rig.bone_names)) if wrist in rig.ancestors(k)])
+    hides = np.zeros(2, dtype=int)
+    for k, each in enumerate((bound, undented)):
+        for pose, cloth in zip(motion, walked(circleskirt, each, motion)):
+            middle = avatar.posed_vertices(circleskirt.bone_transforms(pose))[hand].mean(axis=0)
+            away = cloth - middle
+            hides[k] += int(((np.linalg.norm(away, axis=1) < 0.08) & (away[:, 1] > 0)).sum())
+    assert hides[1] > 50
+    assert hides[0] < 0.75 * hides[1]
+
+
+def test_cloth_is_dented_as_the_reference_does(circleskirt):
+    """By a hand that reaches into it, and by legs that garment nodes are too far apart for."""
+    rig, bound = circleskirt.layer.model.rig, circleskirt.layer.bound
+    reference, native = ReferenceFrame([bound]), NativeFrame([bound])
+    undented = NativeFrame([replace(bound, dent_shares=np.zeros_like(bound.dent_shares))])
+    dented = 0.0
+    for pose in np.concatenate([reached(rig, 3), march(rig, 8)[1::2] + fold(rig, 4) - rig.rest]).astype(np.float32):
+        seen, expected, without = (
+            clouds(frame, [bound], pose, told((-0.8, 0.3, -0.6)))[0][:, :3] for frame in (native, reference, undented)
+        )
+        assert np.abs(seen - expected).max() < 1e-4
+        dented = max(dented, float(np.abs(seen - without).max()))
+    assert dented > 0.01
+
+
 @pytest.mark.parametrize("name", ["tshirt", "longsleeve", "trousers"])
 def test_what_does_not_hang_costs_nothing(name):
     model = load_garment_model(name)
@@ -157,16 +202,17 @@ def test_the_fitted_skin_is_near_the_skin(skirt):
     """At rest within millimetres on shins, and where a knee is folded."""
     avatar, rig, bound = skirt.avatar, skirt.layer.model.rig, skirt.layer.bound
     parts = fit_skin_parts(avatar, rig, find_limbs(rig))
-    assert len(parts) == 5
+    assert [part.presses for part in parts] == 7 * [False] + 4 * [True]
     shins = np.isin(
         avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if name.startswith("lowerleg")]
     )
-    depth = np.max([part.depth(avatar.vertices[shins].astype(np.float64)) for part in parts], axis=0)
+    depth = np.max([part.depth(avatar.vertices[shins].astype(np.float64)) for part in parts if part.is_shin], axis=0)
     assert np.quantile(np.abs(depth), 0.9) < 0.005
     folded = rig.rest.copy()
     folded[rig.joint_names.index("lowerleg01.R_y")] += 2.2
     bones = skirt.bone_transforms(folded).astype(np.float64)
     legs = np.isin(avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if "leg" in name])
     skin = avatar.posed_vertices(bones.astype(np.float32))[legs].astype(np.float64)
-    depth = np.max([skin_depth(bound, part, bones, skin)[0] for part in range(len(parts))], axis=0)
+    body = np.flatnonzero(bound.skin_presses == 0)
+    depth = np.max([skin_depth(bound, part, bones, skin)[0] for part in body], axis=0)
     assert np.quantile(depth, 0.05) > -0.005
