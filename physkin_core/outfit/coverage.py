@@ -29,6 +29,9 @@ __all__ = [
 
 FROM_HEM = 0.03
 """[m] along the cover, from its hem, within which nothing under it is hidden."""
+FLARE = 1.5
+"""How much longer the way to a hem is along cloth that flares or is folded than straight: by less, a circle skirt would
+cover ankles that are below it."""
 STANDS_OUT = 0.05
 """[m] A point farther outside its cover than this does not belong to it."""
 SLIMMER = 0.006
@@ -143,15 +146,15 @@ def _to_bones(avatar: Avatar) -> np.ndarray:
 
 
 def _depths(points: np.ndarray, normals: np.ndarray, cover: Cover) -> np.ndarray:
-    """How far (k,) [m] behind the cover's hem points (k, 3) with normals (k, 3) are, less their distance from it; minus
-    infinity where they are not under it."""
+    """How far (k,) [m] behind the cover's hem points (k, 3) with normals (k, 3) are, less `FLARE` times their distance
+    from it; minus infinity where they are not under it."""
     from scipy.spatial import cKDTree
 
     match = cKDTree(with_normals(cover.vertices, cover.normals)).query(with_normals(points, normals))[1]
     gap = cover.vertices[match] - points
     height = np.einsum("ki,ki->k", gap, normals)
     alike = np.einsum("ki,ki->k", cover.normals[match], normals) > 0
-    depth = cover.hem_distance[match] - np.linalg.norm(gap, axis=1)
+    depth = cover.hem_distance[match] - FLARE * np.linalg.norm(gap, axis=1)
     return np.where(alike & (height > -STANDS_OUT), depth, -np.inf)
 
 

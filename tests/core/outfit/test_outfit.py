@@ -21,7 +21,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.model.garment import vertex_normals
-from physkin_core.outfit.coverage import FROM_HEM
+from physkin_core.outfit.coverage import FROM_HEM, Cover, covered
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.evaluator import Skinner
@@ -103,6 +103,14 @@ def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
     np.testing.assert_allclose(same[:, :3], some[:, :3], atol=1e-6)
     at_edge = np.bincount(faces.ravel())[layer.visible] > np.bincount(layer.faces.ravel())
     np.testing.assert_allclose(same[~at_edge], some[~at_edge], atol=1e-6, err_msg="normals are of faces that are given")
+
+
+def test_a_wide_skirt_does_not_cover_ankles_below_its_hem():
+    """Cloth 40 cm from the hem, which flares: a thigh beside it is covered, an ankle 30 cm farther down is not."""
+    ahead = np.array([[1.0, 0.0, 0.0]])
+    cloth = Cover(np.array([[0.2, 0.0, 0.3]]), ahead, np.array([0.4]))
+    assert covered(np.array([[0.1, 0.0, 0.3]]), ahead, [cloth]).all()
+    assert not covered(np.zeros((1, 3)), ahead, [cloth]).any()
 
 
 def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
