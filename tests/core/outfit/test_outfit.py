@@ -176,8 +176,8 @@ def depth_below_waistband(alone, over):
 
 
 def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, motion):
-    """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself; the
-    deepest of it is not given."""
+    """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself, but
+    for a few vertices near the waistband, which a raised arm pulls out; the deepest of it is not given."""
     tucked = Outfit([WornGarment(models["longsleeve"], tucked=True), models["trousers"]], avatar)
     alone, (shirt_layer, trousers_layer) = Draper(models["longsleeve"], avatar), tucked.layers
     depth = depth_below_waistband(alone, trousers_layer)
@@ -187,7 +187,7 @@ def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, mot
     for frame in range(0, len(motion[0]), 15):
         shirt, trousers = tucked.drape(motion[0][frame], motion[1][frame])
         inside = signed_distance(shirt[below, :3], trousers[:, :3], trousers_layer.faces)
-        assert (inside < 0).mean() > 0.97 and inside.max() < 0.01
+        assert (inside < 0).mean() > 0.99 and inside.max() < 0.05
         loose = alone.drape(motion[0][frame], motion[1][frame])[shirt_layer.visible[below], :3]
         assert (signed_distance(loose, trousers[:, :3], trousers_layer.faces) > 0).mean() > 0.3
 

@@ -81,7 +81,7 @@ def test_centres_go_with_detail(tshirt, avatar, poses):
     cloth = worn.drape(*poses[1])[:, :3]
     centres = [each.skin(worn.node_transforms(), worn.features()).centres for each in (same, other)]
     np.testing.assert_allclose(centres[0], cloth, atol=2e-6)
-    assert 1e-5 < np.abs(centres[1] - cloth).max() < 1e-3
+    assert 1e-5 < np.abs(centres[1] - cloth).max() < 5e-3
     assert np.abs(same.skin(worn.node_transforms(), 0 * worn.features()).centres - cloth).max() > 0.01
 
 
