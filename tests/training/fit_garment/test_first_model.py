@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from random_models import tube
 
 from physkin_core import Garment, load_garment_model
+from physkin_core.model.model_file import shipped_models
+from physkin_training.config import DetailConfig
 from physkin_training.fit_garment.first_model import chosen_start
+from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, started_from
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +49,15 @@ def test_a_cape_is_far_from_all():
     likeness, verdict = chosen_start(cape, None)
     assert likeness is None and verdict.outcome == "warning" and "far from all" in verdict.found
     assert np.isfinite(cape.vertices).all()
+
+
+@pytest.mark.parametrize("kind", ["cpu", "cuda"])
+def test_the_default_recipe_can_begin_with_every_shipped_garment(kind, tmp_path):
+    """Which have one size of networks; a recipe of other sizes cannot."""
+    recipe = default_recipe("own", tmp_path / "own.obj", torch.device(kind))
+    models = [load_garment_model(name) for name in shipped_models()]
+    assert all(has_sizes_of(recipe, model) for model in models)
+    assert not has_sizes_of(replace(recipe, detail=DetailConfig()), models[0])
+    begun = started_from(recipe, tmp_path / "start.safetensors")
+    assert begun.start == tmp_path / "start.safetensors" and begun.optimisation.patience
+    assert begun.optimisation.learning_rate < recipe.optimisation.learning_rate

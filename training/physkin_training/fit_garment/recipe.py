@@ -33,6 +33,9 @@ GENTLE = {
 """Of a run that begins with what was learnt: all poses from the first step, rates that do not throw it away, and an end
 where it no longer falls."""
 
+MEASURED_EVERY = 250
+"""Steps of such a run at most from one measurement to the next: it is at its best after some hundreds."""
+
 
 def default_recipe(name: str, mesh: Path, device: torch.device) -> TrainingConfig:
     """What shipped garments were trained with, in portions for the device."""
@@ -57,4 +60,5 @@ def has_sizes_of(recipe: TrainingConfig, model: GarmentModel) -> bool:
 
 def started_from(recipe: TrainingConfig, start: Path) -> TrainingConfig:
     """The recipe for a run that begins with a model of the garment."""
-    return replace(recipe, start=start, optimisation=replace(recipe.optimisation, **GENTLE))
+    often = min(recipe.optimisation.validate_every, MEASURED_EVERY)
+    return replace(recipe, start=start, optimisation=replace(recipe.optimisation, validate_every=often, **GENTLE))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_paths import openings
@@ -13,9 +15,12 @@ __all__ = ["NEAR", "Likeness"]
 
 BEYOND = 0.05
 """[m] Cloth farther than this from all of another garment's has no counterpart there."""
-MOST_BEYOND = 0.4
-"""Share of its cloth that may have none where it begins with that garment's networks."""
-NEAR = f"at most {100 * MOST_BEYOND:.0f} % of the cloth farther than {1e3 * BEYOND:.0f} mm from a shipped one's"
+MOST_BEYOND, FARTHEST = 0.4, 0.4
+"""Share of its cloth that may have none, and how far [m] that may be, where it begins with that garment's networks."""
+NEAR = (
+    f"at most {100 * MOST_BEYOND:.0f} % of the cloth farther than {1e3 * BEYOND:.0f} mm from a shipped one's, none "
+    f"farther than {1e3 * FARTHEST:.0f} mm"
+)
 OTHER_OPENINGS = 0.02
 """[m] of distance that one opening more or less counts as: a skirt is not a pair of trousers."""
 NOT_COVERED = 0.3
@@ -26,7 +31,8 @@ out."""
 @dataclass(frozen=True)
 class Likeness:
     """How far a garment's cloth is from that of `model`: mean and farthest [m], `beyond`, the share of it without a
-    counterpart, and how many openings more or fewer it has. score [m]: the lower, the more alike."""
+    counterpart, and how many openings more or fewer it has. score [m]: the lower, the more
+    alike; cloth without a counterpart counts the same however far it is, as it goes on as the edge there does."""
 
     model: GarmentModel
     mean: float
@@ -43,13 +49,14 @@ class Likeness:
         area, other_area = (each.vertex_areas / each.vertex_areas.sum() for each in (garment, other))
         mean = float(there @ area)
         more = len(openings(garment.vertices, garment.faces)) - len(openings(other.vertices, other.faces))
-        score = mean + NOT_COVERED * float(back @ other_area) + OTHER_OPENINGS * abs(more)
+        capped, capped_back = (float(np.minimum(d, BEYOND) @ a) for d, a in ((there, area), (back, other_area)))
+        score = capped + NOT_COVERED * capped_back + OTHER_OPENINGS * abs(more)
         return cls(model, mean, float(there.max()), float(area[there > BEYOND].sum()), more, score)
 
     @property
     def near(self) -> bool:
         """Whether it is a start at all."""
-        return self.beyond <= MOST_BEYOND
+        return self.beyond <= MOST_BEYOND and self.farthest <= FARTHEST
 
     def __str__(self) -> str:
         opening = f", {abs(self.openings)} openings {'more' if self.openings > 0 else 'fewer'}" if self.openings else ""
