@@ -15,12 +15,12 @@ from reference.skin_guard import skin_depth
 from reference.skinning import skin
 
 SOFT, GAP, REACH, FULL, ASIDE, FLATTEST, BLUR, FAR = 0.002, 0.003, 0.08, 0.04, 0.06, 0.5, 0.02, 0.3
-AHEAD, TOO_DEEP, FADE, FLATTENED, LEAST, STATIONS = 1.4, 0.15, 0.05, 0.3, 1e-6, 4
+AHEAD, TOO_DEEP, FADE, FLATTENED, LEAST, STATIONS, MOVED = 1.4, 0.15, 0.05, 0.3, 1e-4, 4, 0.001
 
 
 def dents(bound, bones, nodes, still_moved, features):
-    """(D, 3) what is added to offsets of detail nodes. nodes: (m, 3, 4) kept out of the skin. still_moved: (m,) bool,
-    garment nodes that the guard moved in its last pass."""
+    """(D, 3) what is added to offsets of detail nodes. nodes: (m, 3, 4) kept out of the skin. still_moved: (m,) [m],
+    how far the guard moved garment nodes in its last pass."""
     added = np.zeros((len(bound.detail_offsets) // 3, 3))
     if not len(bound.dent_vertices):
         return added
@@ -78,7 +78,7 @@ def _pushed(bound, part, bones, at, moved):
     """What samples (s, 3) lack of a part of the body, (s,) [m], and the ways out of it (s, 3)."""
     depth, normal = skin_depth(bound, part, bones, at)
     lack = _soft(depth + GAP + SOFT) * AHEAD * np.clip((TOO_DEEP - depth) / FADE, 0, 1)
-    return np.where(moved, lack, 0), normal
+    return np.clip((moved - MOVED) / MOVED, 0, 1) * lack, normal
 
 
 def _pressed(bound, part, bones, at, way):

@@ -19,10 +19,10 @@ WORTHWHILE, CARRIES, REACH, AGAINST = 0.002, 0.1, 0.05, 0.5
 
 
 def kept_out(bound, bones, nodes, sway, features=()):
-    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4), and which of them still were in the last pass,
-    (m,) bool. sway: (m, 3, 4) what it has added to them. features: (F,), of a garment with detail."""
+    """Garment nodes (m, 3, 4) moved out of the skin of bones (b, 3, 4), and how far they still were in the last pass,
+    (m,) [m]. sway: (m, 3, 4) what it has added to them. features: (F,), of a garment with detail."""
     if not len(bound.guard_vertices):
-        return nodes, np.zeros(len(nodes), dtype=bool)
+        return nodes, np.zeros(len(nodes))
     nodes = nodes.copy()
     sampled = SkinningData(
         node_rest=bound.node_rest,
@@ -52,8 +52,9 @@ def kept_out(bound, bones, nodes, sway, features=()):
             share = weights * lack[:, None]
             counted += share.sum(axis=0)
             moved += share.T @ (lack[:, None] * normal)
-        nodes[:, :, 3] += np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
-    return nodes, counted > 1e-9
+        by = np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
+        nodes[:, :, 3] += by
+    return nodes, np.linalg.norm(by, axis=1)
 
 
 def _lacks(bound, bones, at):

@@ -14,6 +14,8 @@ constexpr float kGap = 0.003f;
 constexpr float kReach = 0.08f, kFull = 0.04f;
 // [m] Cloth beside an arm that presses goes along, less and less, over this.
 constexpr float kAside = 0.06f;
+// [m] Where garment nodes have moved by no more in the last pass nothing is left to push, and by twice as much all is.
+constexpr float kMoved = 0.001f;
 // [m] Farther from its axis than the rest of the body is wide, and this, nothing is pushed.
 constexpr float kOff = 0.01f;
 // An arm that points at the body moves cloth by what crosses it, divided by no less than this.
@@ -33,7 +35,7 @@ constexpr float kTooDeep = 0.15f, kFade = 0.05f;
 // Where skinning makes less of a volume than this, dents are made as if it were this.
 constexpr float kFlattened = 0.3f;
 // Samples that less is asked of [m] stay.
-constexpr float kLeast = 1e-6f;
+constexpr float kLeast = 1e-4f;
 
 std::vector<std::int32_t> carriers(const ClothSampling& of) {
   std::vector<std::int32_t> found;
@@ -144,7 +146,7 @@ bool ClothDents::find_near(const SkinGuard& guard) noexcept {
   for (int block = 0; block < cloth_.blocks() && guard.any_moved(); ++block) {
     is_moved_[block] = false;
     for (int lane = 0; lane < cloth_.size(block); ++lane) {
-      is_moved_[block] |= guard.has_moved(carrier_[cloth_.sample(block, lane)]);
+      is_moved_[block] |= guard.moved(carrier_[cloth_.sample(block, lane)]) > kMoved;
     }
   }
   bool any = false;
@@ -250,14 +252,15 @@ void ClothDents::ask(int sample, float length, Vector3 way) noexcept {
 }
 
 void ClothDents::push(const Part& part, const SkinGuard& guard) noexcept {
-  const auto may = [&](int sample) { return guard.has_moved(carrier_[sample]); };
+  const auto may = [&](int sample) { return guard.moved(carrier_[sample]) > kMoved; };
   const int count = look_up(part, may), rows = padded_to_points(count);
   for (int k = 0; k < count; ++k) {
     const float depth = contacts_[k], wanted = depth + kGap + kSoft;
     if (!(wanted > 0) || !(depth < kTooDeep)) continue;
     const float lack = wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft;
     const Vector3 normal{contacts_[rows + k], contacts_[2 * rows + k], contacts_[3 * rows + k]};
-    ask(chosen_[k], kAhead * lack * std::min((kTooDeep - depth) / kFade, 1.0f), normalized(normal));
+    const float counts = std::min((guard.moved(carrier_[chosen_[k]]) - kMoved) / kMoved, 1.0f);
+    ask(chosen_[k], counts * kAhead * lack * std::min((kTooDeep - depth) / kFade, 1.0f), normalized(normal));
   }
 }
 

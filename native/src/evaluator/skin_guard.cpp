@@ -58,6 +58,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, c
       lacks_(arena.take<Lack>(std::size_t(g.skin_parts) * samples_)),
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
       stilled_(arena.take<float>(nodes_)),
+      moved_(arena.take<float>(nodes_)),
       sums_(arena.take<float>(4 * std::size_t(nodes_))) {
   for (int block = 0; block < cloth_.blocks(); ++block) {
     for (int lane = 0; lane < cloth_.size(block); ++lane) block_of_[cloth_.sample(block, lane)] = block;
@@ -242,8 +243,13 @@ void SkinGuard::move_nodes(float* node_transforms) noexcept {
   }
   for (int i = 0; i < nodes_; ++i) {
     const float* sum = sums_ + 4 * i;
+    moved_[i] = 0;
     if (!(sum[3] > kLeast)) continue;
-    for (int axis = 0; axis < 3; ++axis) node_transforms[12 * i + 4 * axis + 3] += sum[axis] / sum[3];
+    const Vector3 by = (1 / sum[3]) * load_vector(sum);
+    moved_[i] = std::sqrt(dot(by, by));
+    node_transforms[12 * i + 3] += by.x;
+    node_transforms[12 * i + 7] += by.y;
+    node_transforms[12 * i + 11] += by.z;
   }
 }
 

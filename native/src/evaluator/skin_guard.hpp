@@ -32,9 +32,9 @@ class SkinGuard {
   void keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                 float* node_transforms) noexcept;
 
-  // Whether garment nodes, or one of them, still had to be moved in the last pass over a frame.
+  // Whether garment nodes still had to be moved in the last pass over a frame, and how far one was [m].
   bool any_moved() const { return any_moved_; }
-  bool has_moved(int node) const { return sums_[4 * node + 3] > kLeast; }
+  float moved(int node) const { return moved_[node]; }
 
  private:
   // Garment nodes whose samples lack less than this [m] together stay.
@@ -100,6 +100,7 @@ class SkinGuard {
   bool leads_far_ = false;  // samples that were not near before may be so after a move
   float* sway_;             // (nodes, 3, 4) what it has added to their transforms, where stilled_ is not below zero
   float* stilled_;          // (nodes,) share of sway taken away, 0 to 1
+  float* moved_;            // (nodes,) [m] in the last pass
   float* sums_;             // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count
 };
 
