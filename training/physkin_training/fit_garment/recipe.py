@@ -17,9 +17,9 @@ DETAIL = DetailConfig(nodes=1024)
 OTHER_BENDING = 0.3
 ON_GPU = OptimisationConfig(samples=384, bodies=24, other_bending=OTHER_BENDING)
 ON_CPU = OptimisationConfig(
-    samples=24, bodies=4, encoder_points=512, full_encoding=1.0, validate_every=100, other_bending=OTHER_BENDING
+    samples=48, bodies=6, encoder_points=512, full_encoding=1.0, validate_every=100, other_bending=OTHER_BENDING
 )
-"""A step has to be short there, or there are too few; all 4,096 points of four bodies take longer than all the rest."""
+"""A step has to be short there, or there are too few; all 4,096 points of the bodies take longer than all the rest."""
 BODIES_ON_CPU = 64
 """Training bodies: the garment is graded to each before the first step."""
 GENTLE = {
