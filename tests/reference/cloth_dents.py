@@ -15,7 +15,7 @@ from reference.skin_guard import skin_depth
 from reference.skinning import skin
 
 SOFT, GAP, REACH, FULL, ASIDE, FLATTEST, BLUR, FAR = 0.002, 0.003, 0.08, 0.04, 0.06, 0.5, 0.02, 0.3
-AHEAD, TOO_DEEP, FADE, FLATTENED, LEAST, STATIONS, MOVED = 1.4, 0.15, 0.05, 0.3, 1e-4, 4, 0.001
+AHEAD, TOO_DEEP, FADE, FLATTENED, LEAST, STATIONS, MOVED, LEFT, EDGE = 1.4, 0.15, 0.05, 0.3, 1e-5, 4, 0.001, 0.01, 0.005
 
 
 def dents(bound, bones, nodes, still_moved, features):
@@ -43,7 +43,7 @@ def dents(bound, bones, nodes, still_moved, features):
     pressed = [_pressed(bound, part, bones, at, _way(bound, part, body, bones)) for part in arms]
     length, way = _together(pressed)
     room, towards = _body(bound, body, bones, at)
-    along, room = length * (way * towards).sum(axis=1), np.maximum(room - GAP, 0)
+    along, room = length * (way * towards).sum(axis=1), np.maximum(room - LEFT, 0)
     length = np.where(along > room, length * room / np.where(along > 0, along, 1), length)
     pushed = [_pushed(bound, part, bones, at, still_moved[carrier]) for part in body]
     wanted, way = _together([(length, way), *pushed])
@@ -92,7 +92,7 @@ def _pressed(bound, part, bones, at, way):
     along = (x * across[0] + y * across[1]) / flat
     aside = np.sqrt(np.maximum(x**2 + y**2 - along**2, 0))
     radius = np.sqrt(x**2 + y**2) + depth + GAP
-    leaves = np.where(aside < radius, np.sqrt(np.maximum(radius**2 - aside**2, 0)), 0)
+    leaves = np.sqrt(np.where(aside < radius, radius**2 - aside**2, 0) + EDGE**2) - EDGE
     least = np.where(aside < radius, 1, np.maximum(1 - (aside - radius) / ASIDE, 0))
     wanted = least * np.maximum(leaves - along, 0) / max(flat, FLATTEST)
     faded = np.clip((depth + REACH) / (REACH - FULL), 0, 1)

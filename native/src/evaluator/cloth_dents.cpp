@@ -18,6 +18,10 @@ constexpr float kAside = 0.06f;
 constexpr float kMoved = 0.001f;
 // [m] Farther from its axis than the rest of the body is wide, and this, nothing is pushed.
 constexpr float kOff = 0.01f;
+// [m] By an arm cloth is kept so far from the rest of the body, whose skin stands out of its smooth surface.
+constexpr float kLeft = 0.01f;
+// [m] How cloth is led over an arm begins at its edge without a step, over this.
+constexpr float kEdge = 0.005f;
 // An arm that points at the body moves cloth by what crosses it, divided by no less than this.
 constexpr float kFlattest = 0.5f;
 // [m] Of parts of the body that are this much farther off than one that is touched, the way there counts a sixteenth.
@@ -35,7 +39,7 @@ constexpr float kTooDeep = 0.15f, kFade = 0.05f;
 // Where skinning makes less of a volume than this, dents are made as if it were this.
 constexpr float kFlattened = 0.3f;
 // Samples that less is asked of [m] stay.
-constexpr float kLeast = 1e-4f;
+constexpr float kLeast = 1e-5f;
 
 std::vector<std::int32_t> carriers(const ClothSampling& of) {
   std::vector<std::int32_t> found;
@@ -278,7 +282,8 @@ void ClothDents::press(const Part& arm) noexcept {
     const float x = at.x - field.x, y = at.y - field.y, square = x * x + y * y;
     const float along = (x * way.x + y * way.y) / across, aside = std::sqrt(std::max(square - along * along, 0.0f));
     const float radius = std::sqrt(square) + depth + kGap, over = aside - radius;
-    const float exit = over < 0 ? std::sqrt(radius * radius - aside * aside) : 0;
+    const float within = over < 0 ? radius * radius - aside * aside : 0;
+    const float exit = std::sqrt(within + kEdge * kEdge) - kEdge;
     const float least = over < 0 ? 1 : std::max(1 - over / kAside, 0.0f);
     const float wanted = least * std::max(exit - along, 0.0f) / flat;
     const float faded = std::min((depth + kReach) / (kReach - kFull), 1.0f);
@@ -307,7 +312,7 @@ void ClothDents::keep_room() noexcept {
     float* sum = sums_ + 4 * chosen_[k];
     const Vector3 asked = (1 / sum[3]) * load_vector(sum);
     const float along = asked.x * ways_[k] + asked.y * ways_[rows + k] + asked.z * ways_[2 * rows + k];
-    const float room = std::max(room_[k] - kGap, 0.0f), share = along > room ? room / along : 1;
+    const float room = std::max(room_[k] - kLeft, 0.0f), share = along > room ? room / along : 1;
     std::fill_n(sum, 4, 0.0f);
     const float length = std::sqrt(dot(asked, asked));
     ask(chosen_[k], share * length, normalized(asked));

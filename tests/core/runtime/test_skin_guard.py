@@ -146,10 +146,10 @@ def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
     assert moved > 1e-4
 
 
-def reached(rig, frames: int) -> np.ndarray:
-    """(frames, d) [rad] a left hand that goes from rest through the skirt, beside the hip."""
+def reached(rig, frames: int, back: float = 0.4) -> np.ndarray:
+    """(frames, d) [rad] a left hand that goes from rest through the skirt, beside the hip. back: [rad], how far it goes there."""
     positions = np.tile(rig.rest, (frames, 1)).astype(np.float32)
-    for joint, by in (("clavicle.L_x", -0.25), ("upperarm01.L_x", -0.4), ("upperarm01.L_z", 0.4)):
+    for joint, by in (("clavicle.L_x", -0.25), ("upperarm01.L_x", -0.4), ("upperarm01.L_z", back)):
         positions[:, rig.joint_names.index(joint)] += by * np.linspace(0, 1, frames, dtype=np.float32)
     return positions
 
@@ -162,7 +162,7 @@ def circleskirt():
 def test_a_hand_presses_the_cloth_in(circleskirt):
     """A quarter less cloth is outside a hand that reaches into it, where it would hide the fingers."""
     rig, bound, avatar = circleskirt.layer.model.rig, circleskirt.layer.given, circleskirt.avatar
-    motion = reached(rig, 12)
+    motion = reached(rig, 12, back=0.5)
     undented = replace(bound, dent_shares=np.zeros_like(bound.dent_shares))
     wrist = rig.bone_names.index("wrist.L")
     hand = np.isin(avatar.influence_bones[:, 0], [k for k in range(len(rig.bone_names)) if wrist in rig.ancestors(k)])
