@@ -147,7 +147,8 @@ def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
 
 
 def reached(rig, frames: int, back: float = 0.4) -> np.ndarray:
-    """(frames, d) [rad] a left hand that goes from rest through the skirt, beside the hip. back: [rad], how far it goes there."""
+    """(frames, d) [rad] a left hand that goes from rest through the skirt, beside the hip, and back by so much
+    [rad]."""
     positions = np.tile(rig.rest, (frames, 1)).astype(np.float32)
     for joint, by in (("clavicle.L_x", -0.25), ("upperarm01.L_x", -0.4), ("upperarm01.L_z", back)):
         positions[:, rig.joint_names.index(joint)] += by * np.linspace(0, 1, frames, dtype=np.float32)
