@@ -1,7 +1,7 @@
-// Cloth that hangs free gives way detail node by detail node, before skinning, so that all that is skinned with them goes
-// along: out of what of legs, feet and trunk garment nodes are too far apart to keep it out of, and towards the body
-// where a hand or a forearm presses it, or has passed it, as far as there is room. It depends on the frame's garment
-// nodes and detail alone. Cloth without detail is not dented.
+// Cloth that hangs free gives way detail node by detail node, before skinning: out of what of legs, feet and trunk
+// garment nodes are too far apart to keep it out of, and towards the body where a hand or a forearm presses it, or has
+// passed it, as far as there is room. It depends on the frame's garment nodes and detail alone. Cloth without detail is
+// not dented.
 #pragma once
 
 #include <vector>

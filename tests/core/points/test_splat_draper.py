@@ -73,15 +73,17 @@ def test_centres_on_vertices_are_the_drape(tshirt, worn, poses):
 
 
 def test_centres_go_with_detail(tshirt, avatar, poses):
-    """As the garment's vertices, where it is in the same precision."""
-    detail = random_detail(np.random.default_rng(2), tshirt.garment, 60, width=len(tshirt.node_deformer[-2][1]))
+    """As the garment's vertices, where it is in the same precision. Detail is small, so that nothing hangs free and is
+    dented after it."""
+    width = len(tshirt.node_deformer[-2][1])
+    detail = random_detail(np.random.default_rng(2), tshirt.garment, 60, width=width, offset=0.004)
     worn = Draper(replace(tshirt, detail=detail), avatar, precision="bf16")
     bound = bind_splats(worn.layer, splats_at(tshirt.garment.vertices))
     same, other = SplatSkinner(bound, precision="bf16"), SplatSkinner(bound, precision="fp32")
     cloth = worn.drape(*poses[1])[:, :3]
     centres = [each.skin(worn.node_transforms(), worn.features()).centres for each in (same, other)]
     np.testing.assert_allclose(centres[0], cloth, atol=2e-6)
-    assert 1e-5 < np.abs(centres[1] - cloth).max() < 5e-3
+    assert 1e-5 < np.abs(centres[1] - cloth).max() < 1e-3
     assert np.abs(same.skin(worn.node_transforms(), 0 * worn.features()).centres - cloth).max() > 0.01
 
 
