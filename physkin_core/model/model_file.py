@@ -235,7 +235,7 @@ def _stored(name: str, array: np.ndarray, kind: Array) -> dict[str, np.ndarray]:
     if kind.step:
         return {name: _in_steps(name, array, kind)}
     with np.errstate(over="ignore"):
-        stored = {name: array.astype(kind.stored)}
+        stored: dict[str, np.ndarray] = {name: array.astype(kind.stored)}
         if array.ndim == 2 and kind.stored is np.float16:
             packed = pack_weight(name, array)
             in_ten_bits = f"{name}.low" in packed
