@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from reference.cloth_dents import dents
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
+from reference.guard.cloth_dents import dents
+from reference.guard.skin_guard import kept_out
 from reference.layer_order import LayerOrder
 from reference.networks import last_hidden, mlp, silu
 from reference.node_twist import twisted
 from reference.pace import FeaturePace, Pace
 from reference.skeleton import bone_transforms, pose_vector
-from reference.skin_guard import kept_out
 from reference.skinning import face_normals, skin, unit
 from reference.sway_network import SwayNetwork
 

@@ -72,7 +72,7 @@ def test_trousers_no_longer_stand_out_of_a_shirt(models, avatar, motion, over_tr
         trousers, shirt = over_trousers.drape(motion[0][frame], motion[1][frame])
         outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.layers[1].faces, deep)
     assert without > 500
-    assert outfit < 0.01 * without
+    assert outfit < 0.02 * without
 
 
 def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):

@@ -7,7 +7,7 @@ import pytest
 from native_frames import NativeFrame, clouds, told
 from random_models import random_sway_network
 from reference.frame import ReferenceFrame
-from reference.skin_guard import skin_depth
+from reference.guard.skin_guard import skin_depth
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.quality import edge_strain, signed_distance

@@ -11,7 +11,7 @@ back is added. The fields are those of `physkin_core.runtime.skin_guard`.
 import numpy as np
 
 from physkin_core.model.skinning import SkinningData
-from reference.skin_guard import skin_depth
+from reference.guard.skin_guard import skin_depth
 from reference.skinning import skin
 
 SOFT, GAP, REACH, FULL, ASIDE, FLATTEST, BLUR, FAR = 0.002, 0.003, 0.08, 0.04, 0.06, 0.5, 0.02, 0.3
