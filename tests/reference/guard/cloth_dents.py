@@ -10,8 +10,7 @@ back is added. The fields are those of `physkin_core.runtime.skin_guard`.
 
 import numpy as np
 
-from physkin_core.model.skinning import SkinningData
-from reference.guard.skin_guard import skin_depth
+from reference.guard.skin_guard import sampled_cloth, skin_depth
 from reference.skinning import skin
 
 SOFT, GAP, REACH, FULL, ASIDE, FLATTEST, BLUR, FAR = 0.002, 0.003, 0.08, 0.04, 0.06, 0.5, 0.02, 0.3
@@ -24,17 +23,7 @@ def dents(bound, bones, nodes, still_moved, features):
     added = np.zeros((len(bound.detail_offsets) // 3, 3))
     if not len(bound.dent_vertices):
         return added
-    sampled = SkinningData(
-        node_rest=bound.node_rest,
-        vertices=bound.dent_vertices,
-        normals=bound.dent_vertices,
-        influence_nodes=bound.dent_influence_nodes,
-        influence_weights=bound.dent_influence_weights,
-        detail_offsets=bound.detail_offsets,
-        detail_nodes=bound.dent_detail_nodes,
-        detail_weights=bound.dent_detail_weights,
-    )
-    at = skin(sampled, nodes, features)[0]
+    at = skin(sampled_cloth(bound, "dent"), nodes, features)[0]
     arms = np.flatnonzero(bound.skin_presses)
     body = np.flatnonzero(bound.skin_presses == 0)
     carrier = np.take_along_axis(bound.dent_influence_nodes, bound.dent_influence_weights.argmax(axis=1)[:, None], 1)[

@@ -24,16 +24,7 @@ def kept_out(bound, bones, nodes, sway, features=()):
     if not len(bound.guard_vertices):
         return nodes, np.zeros(len(nodes))
     nodes = nodes.copy()
-    sampled = SkinningData(
-        node_rest=bound.node_rest,
-        vertices=bound.guard_vertices,
-        normals=bound.guard_vertices,
-        influence_nodes=bound.guard_influence_nodes,
-        influence_weights=bound.guard_influence_weights,
-        detail_offsets=bound.detail_offsets,
-        detail_nodes=bound.guard_detail_nodes,
-        detail_weights=bound.guard_detail_weights,
-    )
+    sampled = sampled_cloth(bound, "guard")
     samples, count = len(bound.guard_vertices), len(nodes)
     weights = np.zeros((samples, count))
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
@@ -55,6 +46,14 @@ def kept_out(bound, bones, nodes, sway, features=()):
         by = np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
         nodes[:, :, 3] += by
     return nodes, np.linalg.norm(by, axis=1)
+
+
+def sampled_cloth(bound, kind):
+    """The cloth that is looked at as the `kind` of sample, "guard" or "dent", to be skinned."""
+    fields = ("vertices", "influence_nodes", "influence_weights", "detail_nodes", "detail_weights")
+    sampled = {name: getattr(bound, f"{kind}_{name}") for name in fields}
+    rest = {"node_rest": bound.node_rest, "detail_offsets": bound.detail_offsets}
+    return SkinningData(normals=sampled["vertices"], **rest, **sampled)
 
 
 def _lacks(bound, bones, at):

@@ -117,8 +117,8 @@ def drape_from_model(model: GarmentModel) -> Drape:
     if detail is not None:
         state |= {"detail.features.weight": detail.features[0], "detail.features.bias": detail.features[1]}
         state["detail.offsets.weight"] = detail.offsets
-    nodes = GarmentNodeSet.of_model(model), DetailNodeSet.of_model(model)
-    drape = Drape(model.garment, nodes[0], model.rig, network_config(model), nodes[1])
+    nodes, detail_nodes = GarmentNodeSet.of_model(model), DetailNodeSet.of_model(model)
+    drape = Drape(model.garment, nodes, model.rig, network_config(model), detail_nodes)
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
             state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
