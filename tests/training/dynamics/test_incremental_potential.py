@@ -46,6 +46,17 @@ def test_what_is_held_stays():
     assert (step.vertices - tube.rest)[:, free].abs().max() > 1e-6
 
 
+def test_resistance_is_what_inertia_and_drag_add_to_the_gradient():
+    with_motion = CrumpledTube(dynamics=Dynamics(air_drag=40.0, relaxation=0.0))
+    x = with_motion.x
+    _, gradient = with_motion.evaluate(x)
+    resistance = with_motion.potential.time_step.resistance(x).double()
+    with_motion.potential.begin(x, x)
+    _, at_rest = with_motion.evaluate(x)
+    assert resistance.abs().max() > 1e-3
+    torch.testing.assert_close(gradient - at_rest, resistance, rtol=1e-4, atol=1e-4 * float(resistance.abs().max()))
+
+
 @pytest.mark.parametrize(("name", "value"), [("air_drag", -1.0), ("relaxation", float("nan"))])
 def test_bad_dynamics_are_refused(name, value):
     with pytest.raises(ValueError, match=name):

@@ -27,7 +27,7 @@ TINY = ("--bodies", "2", "--walkers", "2", "--rounds", "1", "--seconds", "0.5", 
 @pytest.fixture(scope="module")
 def band(tmp_path_factory):
     path = tmp_path_factory.mktemp("band") / "band.safetensors"
-    save_garment_model(waist_band_model(), path)
+    save_garment_model(waist_band_model(detail_nodes=6), path)
     return path
 
 
@@ -72,8 +72,8 @@ def test_the_file_sways_as_the_network_that_was_learnt(band, monkeypatch):
         drive, pose = Features(model.rig, joints, device)(positions[None], place[None], upright, 0.05)
         offsets = network(drive, pose, codes(dressed.body_modulation), 0.05)[:, 1].view(1, -1, 3, 4)
         posed = dressed.pose(positions[:1])
-        nodes = dressed.draped_nodes(positions[:1], torch.tensor([[0, 0, -1.0]]), posed)
-        learnt = dressed.skinned(nodes + posed[..., :3] @ offsets)[0].numpy()
+        nodes, detail = dressed.draped(positions[:1], torch.tensor([[0, 0, -1.0]]), posed)
+        learnt = dressed.skinned(nodes + posed[..., :3] @ offsets, detail)[0].numpy()
     sway = exported(network, (network.out.weight, network.out.bias), joints, codes)
     draper = Draper(replace(model, sway=sway), avatar_from_body(body_model, bodies[0]), precision="fp32")
     for time, at in zip((0.0, 0.05), place.numpy()):

@@ -10,6 +10,7 @@ from training.small_runs import waist_band_model
 from physkin_core.avatar.body_model import load_body_model
 from physkin_training.sway import walker_simulation
 from physkin_training.sway.motions import WalkerMotions
+from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import WalkerSimulation
 
 BODY_MODEL = load_body_model()
@@ -44,7 +45,7 @@ def motions(acceleration: float, frames: int) -> WalkerMotions:
 def offsets_of(simulation, motion):
     found, counts = [], []
 
-    def watch(frame, offsets, valid):
+    def watch(frame, offsets, resistance, valid):
         found.append(offsets)
         counts.append(valid)
 
@@ -60,13 +61,18 @@ def test_the_bodies_wear_what_is_theirs(simulation):
     torch.testing.assert_close(worn[2:], template.expand(2, -1, -1))
 
 
-def test_skinning_is_linear_and_its_transpose_is_its_adjoint(simulation):
+@pytest.mark.parametrize("has_detail", [False, True])
+def test_skinning_is_linear_and_its_transpose_is_its_adjoint(simulation, has_detail):
     generator = torch.Generator().manual_seed(0)
     nodes = torch.randn(4, 12, 3, 4, generator=generator)
-    vertices = simulation.skinning.vertices(nodes)
-    torch.testing.assert_close(vertices, simulation.dressed.skinned(nodes), atol=1e-5, rtol=1e-5)
+    skinning = NodeSkinning(simulation.dressed)
+    if has_detail:
+        skinning.offsets = 0.1 * torch.randn(simulation.dressed.worn.rest.vertices.shape, generator=generator)
+    vertices = skinning.vertices(nodes)
+    carried = simulation.dressed.skinned(nodes, skinning.offsets)
+    torch.testing.assert_close(vertices, carried, atol=1e-5, rtol=1e-5)
     forces = torch.randn(vertices.shape, generator=generator)
-    work = (simulation.skinning.transposed(forces) * nodes).sum(dim=(1, 2, 3))
+    work = (skinning.transposed(forces) * nodes).sum(dim=(1, 2, 3))
     torch.testing.assert_close(work, (forces * vertices).sum(dim=(1, 2)), atol=1e-3, rtol=1e-4)
 
 

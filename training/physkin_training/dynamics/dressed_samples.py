@@ -5,6 +5,8 @@ Dimensions: `B` samples, `S` bodies, `d` degrees of freedom, `m` garment nodes, 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -83,10 +85,18 @@ class DressedSamples:
         """Pose the bodies at joint positions (B, d) [rad]; returns their posed garment nodes (B, m, 3, 4)."""
         return self.drape.posed_nodes(self.posed_bodies.pose(positions, self.body), self.worn.node_positions)
 
-    def draped_nodes(self, positions: torch.Tensor, gravity: torch.Tensor, posed: torch.Tensor) -> torch.Tensor:
-        """Garment nodes (B, m, 3, 4) as the model corrects the posed ones. gravity: (B, 3)."""
-        return self.drape.draped(self._modulation, positions, gravity, posed)[0]
+    def draped(
+        self, positions: torch.Tensor, gravity: torch.Tensor, posed: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Garment nodes (B, m, 3, 4) as the model corrects the posed ones, and offsets of rest vertices (B, n, 3) [m] by
+        its detail, None of a garment without any. gravity: (B, 3)."""
+        nodes, detail = self.drape.draped(self._modulation, positions, gravity, posed)
+        return nodes, None if detail is None else self.drape.vertex_offsets(detail)
 
-    def skinned(self, nodes: torch.Tensor) -> torch.Tensor:
-        """Vertices (B, n, 3) of the samples' rest shapes, carried by garment nodes (B, m, 3, 4)."""
-        return self.drape.skin(nodes, self.worn.rest)
+    def skinned(self, nodes: torch.Tensor, offsets: torch.Tensor | None = None) -> torch.Tensor:
+        """Vertices (B, n, 3) of the samples' rest shapes, moved by offsets (B, n, 3) where there are any and carried by
+        garment nodes (B, m, 3, 4)."""
+        rest = self.worn.rest
+        if offsets is not None:
+            rest = replace(rest, vertices=rest.vertices + offsets)
+        return self.drape.skin(nodes, rest)

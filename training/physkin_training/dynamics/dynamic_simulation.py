@@ -174,7 +174,7 @@ class DynamicSimulation:
     def _model_drape(self, step: int) -> torch.Tensor:
         """What the model makes of the bodies posed last, (B, n, 3)."""
         positions = self._positions[self.scene, step]
-        return self.dressed.skinned(self.dressed.draped_nodes(positions, self.gravity(step), self._posed))
+        return self.dressed.skinned(*self.dressed.draped(positions, self.gravity(step), self._posed))
 
     def _with_held(self, local: torch.Tensor, step: int) -> torch.Tensor:
         if not self._holds:

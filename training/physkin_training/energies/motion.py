@@ -55,6 +55,12 @@ class TimeStep:
         """Mass (B, n) [kg] of the vertices, in the rest shape that each sample has."""
         return self.cloth.rest.weight[self.cloth.rest_row.long()] / STANDARD_GRAVITY
 
+    def resistance(self, vertices: torch.Tensor) -> torch.Tensor:
+        """Gradient (B, n, 3) [N] of inertia and drag for a step that ends at vertices (B, n, 3)."""
+        inertia = (vertices - self.forecast) / self.seconds**2
+        drag = (vertices - self.before) * (self.dynamics.air_drag / self.seconds)
+        return self.mass[..., None] * (inertia + drag)
+
 
 class Pull(Energy):
     """k / 2 |x - place|^2 of every vertex, with k (B, n) [N/m]."""

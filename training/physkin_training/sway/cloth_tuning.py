@@ -1,9 +1,11 @@
 """Fine-tuning of a learnt sway network by the energies of cloth.
 
 A network that is near what was simulated on average still strains cloth: what it cannot tell it blurs. So the last
-frame of some windows is draped, and what stretch, bending, contact and the band say there is learnt, too. Weight is
-left out, it is in what was simulated. From here on the network gives offsets themselves, beyond the shapes, and errors
-count by distance alone: what they cost is known better here.
+frame of some windows is draped, and it is learnt, too, how far cloth is from balance there: what stretch, bending,
+contact, the band and weight say against the inertia and drag that were simulated. At rest alone they would take all
+swing for strain; in balance with the mean of what may happen cloth swings as far as that pulls it. From here on the
+network gives offsets themselves, beyond the shapes, and errors count by distance alone: what they cost is known better
+here.
 
 Dimensions: `B` bodies, `a = 12 m` numbers of garment nodes, `h` what the last layer reads.
 """
@@ -24,12 +26,12 @@ from physkin_training.sway.learning import KEPT, learning_rate
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import in_one_size
-from physkin_training.sway.walkers import Walkers
+from physkin_training.sway.walkers import KEPT_EVERY, Walkers
 from physkin_training.sway.windows import STRIDES, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
-ENERGY = 12.0
+ENERGY = 30.0
 """[1/J] how much energies count against squared distances, in shares of those of cloth from where it is on average."""
 WINDOWS, DRAPED = 6, 2
 """Windows a body in a step, and of how many the last frame is draped."""
@@ -104,7 +106,7 @@ def tuned_network(
         error = walkers.shapes.millimetres(last.coefficients(hidden) - window.coefficients) / spread
         offsets = last(hidden[is_draped, -1])
         forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
-        loss = window.mean(error) + ENERGY * (offsets * forces).sum() / len(forces)
+        loss = window.mean(error) + ENERGY * (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -126,18 +128,18 @@ class _Cloth:
 
     @torch.no_grad()
     def forces(self, offsets: torch.Tensor, walker: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
-        """Derivatives (B, a) of the energies without weight by offsets (B, a), of these walkers' frames (B,)."""
+        """Forces (B, a) [N] out of balance at offsets (B, a) of these walkers' frames (B,): derivatives of the energies,
+        and the resistance of inertia and drag."""
         known, dressed = self._walkers, self._dressed
         positions, turn = known.positions[walker, frame], known.turn[walker, frame]
         gravity = -turn[:, 2].contiguous()
         posed = dressed.pose(positions)
         turns = posed[..., :3]
-        nodes = dressed.draped_nodes(positions, gravity, posed) + turns @ offsets.unflatten(1, (-1, 3, 4))
-        vertices = self._skinning.vertices(nodes)
-        self._potential.begin(vertices, vertices)  # nothing moves: no inertia, no drag
+        drape, self._skinning.offsets = dressed.draped(positions, gravity, posed)
+        vertices = self._skinning.vertices(drape + turns @ offsets.unflatten(1, (-1, 3, 4)))
+        self._potential.begin(vertices, vertices)  # inertia and drag are those that were simulated
         _, gradient = self._potential.evaluate(vertices, gravity, *dressed.contact)
-        weight = dressed.rest.weight[dressed.worn.rows]
-        gradient = gradient + weight[..., None] * gravity[:, None]
-        forces = (turns.mT @ self._skinning.transposed(gradient)).flatten(1).nan_to_num()
+        resistance = known.resistance[walker, frame // KEPT_EVERY].float() / 1e3
+        forces = ((turns.mT @ self._skinning.transposed(gradient)).flatten(1) + resistance).nan_to_num()
         size = forces.norm(dim=1, keepdim=True)
         return forces * (LARGEST_FORCE * size.median() / size.clamp_min(1e-12)).clamp_max(1)

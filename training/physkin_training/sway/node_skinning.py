@@ -1,6 +1,6 @@
 """Skinning as a linear map from garment node transforms to vertices, and its transpose.
 
-Dimensions: `B` samples, those of a body one after the other, `S` bodies, `m` garment nodes, `n` vertices. Metres.
+Dimensions: `B` samples, `m` garment nodes, `n` vertices. Metres.
 """
 
 from __future__ import annotations
@@ -13,28 +13,30 @@ __all__ = ["NodeSkinning"]
 
 
 class NodeSkinning:
-    """Of samples whose bodies are in order, the same number of each. One matrix (n, 4 m) a body: all that its samples
-    need is one product."""
+    """Of the samples' rest shapes. Skinning weights are the same in all of them, so that transforms are blended by one
+    product. `offsets` (B, n, 3) of rest vertices, by detail, may be set; None stands for none."""
 
     def __init__(self, samples: DressedSamples) -> None:
-        self._bodies = len(samples.body_set)
-        self._each = len(samples.body) // self._bodies
-        rest = samples.worn.rest
-        vertices, nodes = rest.vertices[:: self._each], rest.nodes[:: self._each]
-        offset = vertices[:, :, None] - nodes[:, None]
-        drape = samples.drape
-        weights = drape.dense(drape.skinning_weights, vertices)
-        handle = torch.cat([offset, torch.ones_like(offset[..., :1])], dim=-1)
-        self._basis = (weights[..., None] * handle).flatten(2)  # (S, n, 4 m)
+        drape, rest = samples.drape, samples.worn.rest
+        self.offsets: torch.Tensor | None = None
+        self._vertices, self._nodes = rest.vertices, rest.nodes
+        self._weights = drape.dense(drape.skinning_weights, rest.vertices)
 
     def vertices(self, nodes: torch.Tensor) -> torch.Tensor:
         """Vertices (B, n, 3) of garment nodes (B, m, 3, 4), or what a change of them moves vertices by."""
-        columns = nodes.unflatten(0, (self._bodies, self._each)).permute(0, 2, 4, 1, 3)  # (S, m, 4, each, 3)
-        moved = self._basis @ columns.flatten(3).flatten(1, 2)
-        return moved.unflatten(2, (self._each, 3)).transpose(1, 2).flatten(0, 1).contiguous()
+        shift = nodes[..., 3] - (nodes[..., :3] * self._nodes[:, :, None]).sum(dim=-1)
+        handles = torch.cat([nodes[..., :3], shift[..., None]], dim=-1).transpose(0, 1).flatten(1)
+        blended = (self._weights @ handles).unflatten(1, (-1, 3, 4))  # (n, B, 3, 4)
+        return (blended * self._places()[..., None, :]).sum(dim=-1).transpose(0, 1).contiguous()
 
     def transposed(self, forces: torch.Tensor) -> torch.Tensor:
         """What forces (B, n, 3) on vertices do to garment nodes (B, m, 3, 4)."""
-        columns = forces.unflatten(0, (self._bodies, self._each)).transpose(1, 2).flatten(2)
-        rows = (self._basis.mT @ columns).unflatten(1, (-1, 4)).unflatten(3, (self._each, 3))  # (S, m, 4, each, 3)
-        return rows.permute(0, 3, 1, 4, 2).flatten(0, 1)
+        moments = forces.transpose(0, 1)[..., None] * self._places()[..., None, :]  # (n, B, 3, 4)
+        pulled = (self._weights.T @ moments.flatten(1)).unflatten(1, (-1, 3, 4)).transpose(0, 1)
+        about_nodes = pulled[..., :3] - pulled[..., 3:] * self._nodes[:, :, None]
+        return torch.cat([about_nodes, pulled[..., 3:]], dim=-1)
+
+    def _places(self) -> torch.Tensor:
+        """Rest vertices, moved by the offsets, and 1 (n, B, 4)."""
+        places = self._vertices if self.offsets is None else self._vertices + self.offsets
+        return torch.nn.functional.pad(places, (0, 1), value=1.0).transpose(0, 1)

@@ -118,9 +118,12 @@ class WalkerSimulation:
         self.inertia = self._solver.mean_inertia(stance.node_turns)
         self.cost = Metric.regular(strained + SLOWLY / RATE_HZ**2 * (moving - strained), self.free).matrix
 
-    def run(self, motions: WalkerMotions, watch: Callable[[int, torch.Tensor, torch.Tensor], None]) -> None:
-        """Simulate motions of the B walkers, telling `watch` of every frame its index, the offsets (B, m, 3, 4) of
-        garment nodes in their own posed frames, and which of them count (B,)."""
+    def run(
+        self, motions: WalkerMotions, watch: Callable[[int, torch.Tensor, torch.Tensor, torch.Tensor], None]
+    ) -> None:
+        """Simulate motions of the B walkers, telling `watch` of every frame its index, the offsets of garment nodes in
+        their own posed frames, the forces [N] by which inertia and drag resist changes of these, both (B, m, 3, 4),
+        and which of them count (B,)."""
         device = self.dressed.device
         positions, place, turn = (
             torch.as_tensor(a, device=device) for a in (motions.positions, motions.place, motions.turn)
@@ -135,10 +138,11 @@ class WalkerSimulation:
             offsets = now.offsets(nodes)
             last = before_last = now.to_world(nodes)
             lost_for = torch.zeros(len(positions), dtype=torch.int64, device=device)
-            watch(0, offsets, lost_for == 0)
+            watch(0, offsets, torch.zeros_like(offsets), lost_for == 0)
             for frame in range(1, positions.shape[1]):
                 now = stance(frame)
                 nodes, vertices = self._step(now, last, before_last, offsets)
+                resistance = self._solver.pulled_back(self.potential.time_step.resistance(vertices))
                 away = (nodes - now.drape)[..., 3].norm(dim=2).amax(dim=1)
                 lost = ~(vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT) | ~(away < LARGEST_OFFSET)
                 anew = lost[:, None, None, None]
@@ -147,12 +151,12 @@ class WalkerSimulation:
                 here = now.to_world(nodes)
                 last, before_last = here, torch.where(anew, here, last)
                 lost_for = torch.where(lost, LOST_FOR, (lost_for - 1).clamp_min(0))
-                watch(frame, offsets, lost_for == 0)
+                watch(frame, offsets, resistance, lost_for == 0)
 
     def _stance(self, positions: torch.Tensor, turn: torch.Tensor, place: torch.Tensor) -> _Stance:
         gravity = -turn[:, 2].contiguous()
         posed = self.dressed.pose(positions)
-        drape = self.dressed.draped_nodes(positions, gravity, posed)
+        drape, self.skinning.offsets = self.dressed.draped(positions, gravity, posed)
         return _Stance(posed[..., :3].contiguous(), drape, gravity, turn, place)
 
     def _at_rest(self, now: _Stance) -> torch.Tensor:

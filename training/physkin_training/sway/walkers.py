@@ -32,7 +32,8 @@ LEAST_VALID = 0.5
 @dataclass(frozen=True)
 class Walkers:
     """Motions: positions (N, T, d) [rad], place (N, T, 3) [m] and turn (N, T, 3, 3) of the root in the world, 60 frames
-    a second. coefficients (N, t, r) float16 of every fourth frame's offsets, and which of them count, valid (N, t).
+    a second. Of every fourth frame: coefficients (N, t, r) float16 of offsets, resistance (N, t, 12 m) float16 [mN] of
+    inertia and drag, see `WalkerSimulation.run`, and whether they count, valid (N, t).
     body (N,): which of the bodies; bodies (S, c'): their shape coefficients; codes (S, c). free: (m,) bool, garment
     nodes that sway. cost: (12 m, 12 m), see `WalkerSimulation`.
     """
@@ -41,6 +42,7 @@ class Walkers:
     place: torch.Tensor
     turn: torch.Tensor
     coefficients: torch.Tensor
+    resistance: torch.Tensor
     valid: torch.Tensor
     body: torch.Tensor
     bodies: np.ndarray
@@ -78,7 +80,7 @@ def simulated_walkers(
     for index in range(rounds):
         motions.append(pool.drawn(range(index * at_once, (index + 1) * at_once), frames, seed=seed))
         found.append(_simulated(simulation, motions[-1], lambda share, done=index: watch((done + share) / rounds)))
-    offsets, valid = (torch.cat(parts) for parts in zip(*found))
+    offsets, resistance, valid = (torch.cat(parts) for parts in zip(*found))
     counted = float(valid.float().mean())
     say(f"{len(valid)} walkers of {seconds:g} s simulated, {counted:.1%} of their frames count")
     if counted < LEAST_VALID:
@@ -96,6 +98,7 @@ def simulated_walkers(
     return Walkers(
         *(together("positions"), together("place"), together("turn")),
         coefficients=torch.cat(small),
+        resistance=resistance,
         valid=valid,
         body=simulation.dressed.body.repeat(rounds),
         bodies=coefficients,
@@ -106,15 +109,16 @@ def simulated_walkers(
     )
 
 
-def _simulated(simulation: WalkerSimulation, motions: WalkerMotions, watch: Watch) -> tuple[torch.Tensor, torch.Tensor]:
-    """Offsets (B, t, 12 m) float16, and which of them count (B, t)."""
-    kept, valid = [], []
+def _simulated(simulation: WalkerSimulation, motions: WalkerMotions, watch: Watch) -> tuple[torch.Tensor, ...]:
+    """Offsets (B, t, 12 m) float16, resistance (B, t, 12 m) float16 [mN], and which of them count (B, t)."""
+    kept, felt, valid = [], [], []
 
-    def keep(frame: int, offsets: torch.Tensor, counts: torch.Tensor) -> None:
+    def keep(frame: int, offsets: torch.Tensor, resistance: torch.Tensor, counts: torch.Tensor) -> None:
         if frame % KEPT_EVERY == 0:
             kept.append(offsets.flatten(1).half())
+            felt.append((1e3 * resistance).flatten(1).half())
             valid.append(counts)
         watch((frame + 1) / motions.positions.shape[1])
 
     simulation.run(motions, keep)
-    return torch.stack(kept, dim=1), torch.stack(valid, dim=1)
+    return tuple(torch.stack(parts, dim=1) for parts in (kept, felt, valid))
