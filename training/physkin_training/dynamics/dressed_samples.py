@@ -88,8 +88,8 @@ class DressedSamples:
     def draped(
         self, positions: torch.Tensor, gravity: torch.Tensor, posed: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Garment nodes (B, m, 3, 4) as the model corrects the posed ones, and offsets of rest vertices (B, n, 3) [m] by
-        its detail, None of a garment without any. gravity: (B, 3)."""
+        """Garment nodes (B, m, 3, 4) as the model corrects the posed ones, and offsets of rest vertices (B, n, 3) [m]
+        by its detail, None of a garment without any. gravity: (B, 3)."""
         nodes, detail = self.drape.draped(self._modulation, positions, gravity, posed)
         return nodes, None if detail is None else self.drape.vertex_offsets(detail)
 

@@ -128,8 +128,8 @@ class _Cloth:
 
     @torch.no_grad()
     def forces(self, offsets: torch.Tensor, walker: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
-        """Forces (B, a) [N] out of balance at offsets (B, a) of these walkers' frames (B,): derivatives of the energies,
-        and the resistance of inertia and drag."""
+        """Forces (B, a) [N] out of balance at offsets (B, a) of these walkers' frames (B,): derivatives of the
+        energies, and the resistance of inertia and drag."""
         known, dressed = self._walkers, self._dressed
         positions, turn = known.positions[walker, frame], known.turn[walker, frame]
         gravity = -turn[:, 2].contiguous()
