@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core import AvatarWarning, Draper, Outfit, load_avatar, load_garment_model
+from physkin_core import AvatarWarning, Outfit, load_avatar, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of, install_command
-from physkin_core.model.model_file import convert_model_file
+from physkin_core.model.model_file import convert_model_file, split_fabric
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
@@ -27,10 +27,10 @@ from physkin_core.outfit.outfit_options import (
     add_own_clothes_option,
     add_rig_option,
     add_tucked_option,
+    chosen_garments,
     dressed,
     print_warnings,
     read_motion,
-    the_garment,
 )
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
@@ -75,7 +75,7 @@ FORWARDED = {
 
 OWN = {
     "drape": "drape one frame of a motion; write a mesh or a picture",
-    "bind": "write a garment on one avatar for hosts without Python (Unity, C, C++)",
+    "bind": "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)",
     "info": "say what a garment model file holds",
     "convert-model": "write a garment model file of an earlier release anew",
     "completion": "print what a shell needs to complete this command's options",
@@ -196,6 +196,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
     bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"])
+    add_tucked_option(bind)
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help=OWN["info"])
@@ -238,12 +239,12 @@ def _drape(options: argparse.Namespace) -> int:
 
 
 def _bind(options: argparse.Namespace) -> int:
-    name = the_garment(options.garment, "a bound file holds")
-    check_other_file(options.output, options.avatar, name)
-    model = load_garment_model(name)
-    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
-    print_warnings(draper.avatar.warnings)
-    draper.save_bound(options.output)
+    check_other_file(options.output, options.avatar, *(split_fabric(name)[0] for name in options.garment or ()))
+    garments = chosen_garments(options.garment, options.tucked)
+    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
+    outfit = Outfit(garments, avatar, fit=options.fit)
+    print_warnings(outfit.warnings)
+    outfit.save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 

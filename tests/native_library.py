@@ -1,11 +1,18 @@
-"""Builds of the native code without Python, and of test programs on it."""
+"""The native code without Python: builds, test programs on it, and its C interface by ctypes."""
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 from pathlib import Path
 
+import numpy as np
+
+from physkin_core.native_module import native
+
 NATIVE = Path(__file__).parents[1] / "native"
+OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
+INSTALLED = Path(native.__file__).parent
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1", "-g1")
 
 
@@ -35,3 +42,54 @@ def build_program(library, source, compiler="c++", *flags, inner=()):
     ]
     subprocess.run(command, check=True)
     return program
+
+
+class Options(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("normals_from_faces", ctypes.c_int32),
+        ("precision", ctypes.c_char_p),
+        ("instruction_set", ctypes.c_char_p),
+    ]
+
+
+def options(normals_from_faces=0, precision=None, instruction_set=None):
+    return Options(ctypes.sizeof(Options), normals_from_faces, precision, instruction_set)
+
+
+def c_library():
+    """The installed C library."""
+    loaded = ctypes.CDLL(str(INSTALLED / "libphyskin_c.so"))
+    for name in ("physkin_last_error", "physkin_joint_name", "physkin_precision", "physkin_instruction_set"):
+        getattr(loaded, name).restype = ctypes.c_char_p
+    loaded.physkin_part_name.restype = ctypes.c_char_p
+    loaded.physkin_part_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
+    loaded.physkin_part_range.argtypes = [ctypes.c_void_p, ctypes.c_int32, *[ctypes.c_void_p] * 4]
+    loaded.physkin_faces.restype = ctypes.POINTER(ctypes.c_int32)
+    loaded.physkin_faces.argtypes = loaded.physkin_close.argtypes = [ctypes.c_void_p]
+    for name in ("vertex_count", "joint_count", "face_count", "precision", "instruction_set"):
+        getattr(loaded, f"physkin_{name}").argtypes = [ctypes.c_void_p]
+    loaded.physkin_joint_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
+    for name in ("physkin_step", "physkin_step_accelerated"):
+        getattr(loaded, name).argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
+    loaded.physkin_step_moving.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_double, *loaded.physkin_step.argtypes[2:]]
+    loaded.physkin_set_sway.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    loaded.physkin_reset.argtypes = [ctypes.c_void_p]
+    loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
+    return loaded
+
+
+def load(c, data, how=None):
+    """Status and garment."""
+    garment = ctypes.c_void_p()
+    pointer = None if how is None else ctypes.byref(how)
+    return c.physkin_open_memory(data, len(data), pointer, ctypes.byref(garment)), garment
+
+
+def step(c, garment, pose, gravity, out, columns=6, stride=6):
+    return c.physkin_step(garment, pose.ctypes.data, gravity.ctypes.data, out.ctypes.data, columns, stride)
+
+
+def step_moving(c, garment, pose, time, root, out):
+    root = np.array(root, dtype=np.float64)
+    return c.physkin_step_moving(garment, pose.ctypes.data, time, root.ctypes.data, out.ctypes.data, 6, 6)

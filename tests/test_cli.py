@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ from safetensors.numpy import load_file
 import physkin_core
 from physkin_core import Draper, LimbSeparator, Outfit, cli, load_avatar, load_motion, save_garment_model
 from physkin_core.extras import install_command
+from physkin_core.tensor_file import read_tensors
 
 AVATAR = physkin_core.BUNDLED_AVATAR
 
@@ -274,8 +276,9 @@ def test_drape_writes_an_outfit(tmp_path, capsys):
     assert len(names) == 3 and names[0] == "o body"
     assert cli.main([*worn, "--tucked", "dress"]) == 2
     assert "--tucked dress: none of the garments, which are tshirt, trousers" in capsys.readouterr().err
-    assert cli.main(["bind", *worn[1:]]) == 2
-    assert "a bound file holds one garment, got 2" in capsys.readouterr().err
+    assert cli.main(["bind", *worn[1:], "--tucked", "tshirt"]) == 0
+    metadata, _ = read_tensors(out.read_bytes())
+    assert json.loads(metadata["garments"]) == ["tshirt", "trousers"]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["info", "tshirt"], ["node", "--help"]])

@@ -1,7 +1,7 @@
 /* PhySkin for hosts other than Python: joint positions in, garment vertices and normals out. Plain C99.
  *
- * A host loads a bound garment, a file that holds one garment on one body, written once by
- *     physkin bind AVATAR --garment MODEL -o NAME.bound.safetensors
+ * A host loads a bound garment, a file that holds one garment on one body, or an outfit of several, written once by
+ *     physkin bind AVATAR --garment MODEL [--garment MODEL ...] -o NAME.bound.safetensors
  * and then calls physkin_step every frame. docs/c-host.md shows how, and how to convert to Unity's axes.
  *
  * Metres, radians; root frame of the body: right-handed, X forward, Y left, Z up.
@@ -62,6 +62,16 @@ PHYSKIN_API int32_t physkin_vertex_count(const physkin_garment* garment);
 PHYSKIN_API int32_t physkin_joint_count(const physkin_garment* garment);
 PHYSKIN_API int32_t physkin_face_count(const physkin_garment* garment);
 PHYSKIN_API const int32_t* physkin_faces(const physkin_garment* garment); /* (faces, 3), counter-clockwise outside */
+
+/* An outfit's garments are parts of one mesh, from the skin outwards: one part where the file holds one garment. */
+PHYSKIN_API int32_t physkin_part_count(const physkin_garment* garment);
+
+/* Name of a part's garment model (UTF-8), null for an index out of range. */
+PHYSKIN_API const char* physkin_part_name(const physkin_garment* garment, int32_t part);
+
+/* Which vertices and faces are a part's: the first of each, and how many. Faces name vertices of the whole mesh. */
+PHYSKIN_API physkin_status physkin_part_range(const physkin_garment* garment, int32_t part, int32_t* first_vertex,
+                                              int32_t* vertex_count, int32_t* first_face, int32_t* face_count);
 
 /* Name of a joint (a scalar degree of freedom), null for an index out of range. */
 PHYSKIN_API const char* physkin_joint_name(const physkin_garment* garment, int32_t joint);

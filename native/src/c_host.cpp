@@ -17,24 +17,47 @@
 #include "sway/frame_input.hpp"
 
 struct physkin_garment {
+  // What of the whole mesh is one garment's.
+  struct Part {
+    std::string name;
+    std::int32_t first_vertex = 0, vertex_count = 0, first_face = 0, face_count = 0;
+  };
+
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
                   const physkin::EvaluatorOptions& options)
-      : evaluator({file.garment}, kernels, options),
-        input(1),
-        joint_names(file.joint_names),
-        lower(file.garment.dof_lower, file.garment.dof_lower + file.garment.dofs),
-        rest(file.garment.dof_rest, file.garment.dof_rest + file.garment.dofs),
-        upper(file.garment.dof_upper, file.garment.dof_upper + file.garment.dofs),
-        axes(file.garment.dof_axis, file.garment.dof_axis + 3 * std::size_t(file.garment.dofs)),
-        faces(file.garment.faces, file.garment.faces + 3 * std::size_t(file.garment.face_count)) {
-    input.set_network(0, file.garment.sways_by_network());
+      : evaluator(file.garments, kernels, options),
+        input(int(file.garments.size())),
+        rows(file.garments.size()),
+        joint_names(file.joint_names) {
+    const physkin::BoundGarment& first = file.garments.front();
+    const auto dofs = std::size_t(first.dofs);
+    lower.assign(first.dof_lower, first.dof_lower + dofs);
+    rest.assign(first.dof_rest, first.dof_rest + dofs);
+    upper.assign(first.dof_upper, first.dof_upper + dofs);
+    axes.assign(first.dof_axis, first.dof_axis + 3 * dofs);
+    for (std::size_t k = 0; k < file.garments.size(); ++k) add_part(file.garment_names[k], file.garments[k]);
+    for (const physkin::BoundOrder& order : file.orders) {
+      evaluator.keep_order({order.steady, order.yielding}, order.data);
+    }
+  }
+
+  void add_part(const std::string& name, const physkin::BoundGarment& garment) {
+    input.set_network(int(parts.size()), garment.sways_by_network());
+    parts.push_back({name, vertex_count, garment.vertex_count, std::int32_t(faces.size() / 3), garment.face_count});
+    for (std::size_t k = 0; k < 3 * std::size_t(garment.face_count); ++k) {
+      faces.push_back(vertex_count + garment.faces[k]);
+    }
+    vertex_count += garment.vertex_count;
   }
 
   physkin::Evaluator evaluator;
   physkin::FrameInput input;
+  std::vector<physkin::VertexRows> rows;  // of a frame, one a part
   std::vector<std::string> joint_names;
   std::vector<float> lower, rest, upper, axes;
+  std::vector<Part> parts;
   std::vector<std::int32_t> faces;
+  std::int32_t vertex_count = 0;
 };
 
 namespace {
@@ -128,8 +151,12 @@ physkin_status step(physkin_garment* garment, const float* joint_positions, cons
     return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
   }
   if (const physkin_status status = begin(garment->input)) return status;
-  const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
-  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, garment->input.rows(), &rows)) {
+  for (std::size_t k = 0; k < garment->rows.size(); ++k) {
+    float* const first = out + garment->parts[k].first_vertex * stride;
+    garment->rows[k] = {reinterpret_cast<unsigned char*>(first), stride, columns == 6};
+  }
+  const auto* rows = garment->rows.data();
+  if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, garment->input.rows(), rows)) {
     return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
                 double(bad.value), double(bad.limit));
   }
@@ -182,10 +209,34 @@ physkin_status physkin_open_memory(const void* data, size_t size, const physkin_
 
 void physkin_close(physkin_garment* garment) { delete garment; }
 
-int32_t physkin_vertex_count(const physkin_garment* garment) { return garment->evaluator[0].vertex_count(); }
+int32_t physkin_vertex_count(const physkin_garment* garment) { return garment->vertex_count; }
 int32_t physkin_joint_count(const physkin_garment* garment) { return garment->evaluator.dofs(); }
 int32_t physkin_face_count(const physkin_garment* garment) { return int32_t(garment->faces.size() / 3); }
 const int32_t* physkin_faces(const physkin_garment* garment) { return garment->faces.data(); }
+
+int32_t physkin_part_count(const physkin_garment* garment) { return int32_t(garment->parts.size()); }
+
+const char* physkin_part_name(const physkin_garment* garment, int32_t part) {
+  const bool inside = part >= 0 && part < physkin_part_count(garment);
+  return inside ? garment->parts[std::size_t(part)].name.c_str() : nullptr;
+}
+
+physkin_status physkin_part_range(const physkin_garment* garment, int32_t part, int32_t* first_vertex,
+                                  int32_t* vertex_count, int32_t* first_face, int32_t* face_count) {
+  if (garment == nullptr || first_vertex == nullptr || vertex_count == nullptr || first_face == nullptr ||
+      face_count == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, first_vertex, vertex_count, first_face or face_count is null");
+  }
+  if (part < 0 || part >= physkin_part_count(garment)) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "part is %d; must be from 0 to %d", int(part), physkin_part_count(garment) - 1);
+  }
+  const physkin_garment::Part& found = garment->parts[std::size_t(part)];
+  *first_vertex = found.first_vertex;
+  *vertex_count = found.vertex_count;
+  *first_face = found.first_face;
+  *face_count = found.face_count;
+  return PHYSKIN_OK;
+}
 
 const char* physkin_joint_name(const physkin_garment* garment, int32_t joint) {
   const bool inside = joint >= 0 && joint < physkin_joint_count(garment);
@@ -233,7 +284,7 @@ physkin_status physkin_step_moving(physkin_garment* garment, const float* joint_
 physkin_status physkin_set_sway(physkin_garment* garment, double amount) {
   if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
   if (!(amount >= 0 && amount <= 1)) return fail(PHYSKIN_BAD_ARGUMENT, "sway must be from 0 to 1, got %g", amount);
-  garment->input.set_sway(0, amount);
+  for (int k = 0; k < garment->input.count(); ++k) garment->input.set_sway(k, amount);
   return PHYSKIN_OK;
 }
 

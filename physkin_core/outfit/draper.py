@@ -18,7 +18,6 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_points
-from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Precision
 from physkin_core.runtime.layer import Layer, WornGarment
@@ -175,8 +174,8 @@ class Draper:
         return self.outfit.bind_frame(joint_positions, inputs, [out])
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here for hosts without Python: see native/include/physkin.h."""
-        save_bound_garment(self.bound, path, name=self.model.name, joint_names=self.joint_names)
+        """Write what is bound here for hosts without Python; as of `Outfit`."""
+        self.outfit.save_bound(path)
 
     def node_transforms(self) -> np.ndarray:
         """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
 from physkin_core.runtime.layer import Layer, WornGarment
@@ -113,6 +115,16 @@ class Outfit:
         layers[garment] = replace(layers[garment], given=bound, visible=np.empty(0, dtype=np.int32))
         twin._begin(layers)
         return twin
+
+    def save_bound(self, path: str | Path) -> None:
+        """Write what is bound here for hosts without Python, in C and in a browser: see native/include/physkin.h."""
+        save_bound_outfit(
+            [layer.given for layer in self.layers],
+            path,
+            names=[layer.name for layer in self.layers],
+            joint_names=self.joint_names,
+            orders=self.orders,
+        )
 
     @property
     def rig(self) -> Rig:

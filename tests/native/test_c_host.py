@@ -4,74 +4,44 @@ import ctypes
 import re
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fuzzing import check_refusals
 from model_files import edited_header, resealed
 from native_frames import NativeFrame, clouds, told
-from native_library import NATIVE
+from native_library import (
+    BAD_ARGUMENT,
+    BAD_FILE,
+    BAD_POSE,
+    INSTALLED,
+    NATIVE,
+    OK,
+    Options,
+    c_library,
+    load,
+    options,
+    step,
+    step_moving,
+)
 from random_models import random_avatar, random_model, random_pose
 from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
-from physkin_core.native_module import native
 from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
-OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
-INSTALLED = Path(native.__file__).parent
 C_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-
-
-class Options(ctypes.Structure):
-    _fields_ = [
-        ("size", ctypes.c_uint32),
-        ("normals_from_faces", ctypes.c_int32),
-        ("precision", ctypes.c_char_p),
-        ("instruction_set", ctypes.c_char_p),
-    ]
-
-
-def options(normals_from_faces=0, precision=None, instruction_set=None):
-    return Options(ctypes.sizeof(Options), normals_from_faces, precision, instruction_set)
-
-
-@pytest.fixture(scope="module")
-def c():
-    """The C library."""
-    loaded = ctypes.CDLL(str(INSTALLED / "libphyskin_c.so"))
-    for name in ("physkin_last_error", "physkin_joint_name", "physkin_precision", "physkin_instruction_set"):
-        getattr(loaded, name).restype = ctypes.c_char_p
-    loaded.physkin_faces.restype = ctypes.POINTER(ctypes.c_int32)
-    loaded.physkin_faces.argtypes = loaded.physkin_close.argtypes = [ctypes.c_void_p]
-    for name in ("vertex_count", "joint_count", "face_count", "precision", "instruction_set"):
-        getattr(loaded, f"physkin_{name}").argtypes = [ctypes.c_void_p]
-    loaded.physkin_joint_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
-    for name in ("physkin_step", "physkin_step_accelerated"):
-        getattr(loaded, name).argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int32, ctypes.c_ssize_t]
-    loaded.physkin_step_moving.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_double, *loaded.physkin_step.argtypes[2:]]
-    loaded.physkin_set_sway.argtypes = [ctypes.c_void_p, ctypes.c_double]
-    loaded.physkin_reset.argtypes = [ctypes.c_void_p]
-    loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
-    return loaded
-
-
-def load(c, data, how=None):
-    """Status and garment."""
-    garment = ctypes.c_void_p()
-    pointer = None if how is None else ctypes.byref(how)
-    return c.physkin_open_memory(data, len(data), pointer, ctypes.byref(garment)), garment
-
-
-def step(c, garment, pose, gravity, out, columns=6, stride=6):
-    return c.physkin_step(garment, pose.ctypes.data, gravity.ctypes.data, out.ctypes.data, columns, stride)
 
 
 def step_accelerated(c, garment, pose, felt, out):
     return c.physkin_step_accelerated(garment, pose.ctypes.data, felt.ctypes.data, out.ctypes.data, 6, 6)
+
+
+@pytest.fixture(scope="module")
+def c():
+    return c_library()
 
 
 def compiled(source, folder):
@@ -177,11 +147,6 @@ def test_effective_gravity(c, tmp_path):
     assert c.physkin_step_accelerated(garment, pose.ctypes.data, None, out.ctypes.data, 6, 6) == BAD_ARGUMENT
     assert (out == 7).all()
     c.physkin_close(garment)
-
-
-def step_moving(c, garment, pose, time, root, out):
-    root = np.array(root, dtype=np.float64)
-    return c.physkin_step_moving(garment, pose.ctypes.data, time, root.ctypes.data, out.ctypes.data, 6, 6)
 
 
 @pytest.mark.usefixtures("exact_network_weights")
@@ -294,9 +259,11 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
     "change, message",
     [
         (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
-        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 6"),
+        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 7"),
         (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
         (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
+        (lambda h: h["__metadata__"].update(garments="[]"), "names 0 garments; expected 1 to 16"),
+        (lambda h: h["__metadata__"].update(garments='["a", "b"]'), "lacks 1.bone_parents"),
         (lambda h: h["__metadata__"].pop("format"), "no metadata format"),
         (lambda h: h.update(points=h.pop("vertices")), "lacks vertices"),
         (lambda h: h.pop("vertices"), "overlap, or leave room"),
@@ -305,7 +272,7 @@ def test_bad_options_are_refused(how, message, c, small_bound_file):
         (lambda h: h.update(more=h["vertices"]), "overlap"),
         (lambda h: h["vertices"].update(data_offsets=h["normals"]["data_offsets"]), "overlap, or leave room"),
         (lambda h: h.pop(last_array(h)), "goes on behind its last array"),
-        (lambda h: h["vertices"].update(dtype="F16"), "vertices is of type F16; allowed: F32, I32"),
+        (lambda h: h["vertices"].update(dtype="F16"), "vertices is of type F16; allowed: F32, I32, I8"),
         (lambda h: h["vertices"].update(shape=[150]), r"vertices is of type F32 and shape \(150,\)"),
         (lambda h: h["vertices"].update(shape=[51, 3]), "vertices has 600 bytes; expected 612"),
         (lambda h: h["vertices"].update(shape=[2**63, 3]), "vertices has 600 bytes; expected 18446744073709551615"),

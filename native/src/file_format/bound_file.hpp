@@ -1,4 +1,5 @@
-// The bound garment file: a garment model bound to one body. Written by physkin_core/runtime/bound_file.py.
+// The bound garment file: a garment model, or several worn over each other, bound to one body. Written by
+// physkin_core/runtime/bound_file.py.
 #pragma once
 
 #include <string>
@@ -6,8 +7,15 @@
 
 #include "garment/bound_garment.hpp"
 #include "kernels/arena.hpp"
+#include "outfit/layer_order.hpp"
 
 namespace physkin {
+
+// Of which two garments the order is kept, as of Evaluator::keep_order.
+struct BoundOrder {
+  int steady = 0, yielding = 0;
+  LayerOrderData data;
+};
 
 // Its arrays live in its arena.
 struct BoundFile {
@@ -17,7 +25,9 @@ struct BoundFile {
   BoundFile& operator=(const BoundFile&) = delete;
 
   Arena arena;
-  BoundGarment garment;
+  std::vector<BoundGarment> garments;      // from the skin outwards
+  std::vector<std::string> garment_names;  // of each
+  std::vector<BoundOrder> orders;
   std::vector<std::string> joint_names;  // (dofs,)
 };
 

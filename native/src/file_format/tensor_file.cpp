@@ -12,7 +12,21 @@ namespace {
 constexpr std::uint64_t kLargestSize = std::uint64_t{1} << 24;
 constexpr std::uint64_t kLargestHeader = std::uint64_t{1} << 20;
 constexpr std::size_t kLongestShown = 60;
-constexpr std::uint64_t kNumberBytes = 4;
+
+// What the file may hold: how safetensors and NumPy call it, and the bytes of a number.
+struct NumberType {
+  const char *name, *in_digest;
+  std::uint64_t bytes;
+};
+constexpr NumberType kTypes[] = {{"F32", "<f4", 4}, {"I32", "<i4", 4}, {"I8", "|i1", 1}};
+
+// Throws FileError naming the tensor.
+const NumberType& type_of(const std::string& tensor, const std::string& type) {
+  for (const NumberType& each : kTypes) {
+    if (type == each.name) return each;
+  }
+  throw FileError(shown(tensor) + " is of type " + shown(type) + "; allowed: F32, I32, I8");
+}
 
 // The part of JSON that a header consists of: objects, strings and lists, whole numbers from 0.
 class JsonReader {
@@ -137,9 +151,8 @@ std::string text_of(const std::vector<Size>& shape) {
   return "(" + text + (shape.size() == 1 ? ",)" : ")");
 }
 
-// Of the numbers of a tensor; the largest there is where they are more than that.
-std::uint64_t byte_count(const std::vector<std::uint64_t>& shape) {
-  std::uint64_t bytes = kNumberBytes;
+// Of the numbers of a tensor of so many `bytes` each; the largest there is where they are more than that.
+std::uint64_t byte_count(const std::vector<std::uint64_t>& shape, std::uint64_t bytes) {
   for (const std::uint64_t size : shape) {
     if (size != 0 && bytes > ~std::uint64_t{0} / size) return ~std::uint64_t{0};
     bytes *= size;
@@ -224,10 +237,7 @@ TensorFile::TensorFile(const unsigned char* data, std::size_t size) {
 }
 
 void TensorFile::check(const std::string& name, const Tensor& tensor) {
-  if (tensor.type != "F32" && tensor.type != "I32") {
-    throw FileError(shown(name) + " is of type " + shown(tensor.type) + "; allowed: F32, I32");
-  }
-  const std::uint64_t bytes = byte_count(tensor.shape);
+  const std::uint64_t bytes = byte_count(tensor.shape, type_of(name, tensor.type).bytes);
   if (tensor.end - tensor.begin != bytes) {
     throw FileError(shown(name) + " has " + std::to_string(tensor.end - tensor.begin) + " bytes; expected " +
                     std::to_string(bytes));
@@ -256,7 +266,7 @@ std::string TensorFile::digest() const {
   }
   for (const auto& [name, tensor] : tensors_) {
     add(name);
-    add(tensor.type == "F32" ? "<f4" : "<i4");
+    add(type_of(name, tensor.type).in_digest);
     add(text_of(tensor.shape));
     sha256.update(numbers_ + tensor.begin, std::size_t(tensor.end - tensor.begin));
   }
@@ -267,6 +277,11 @@ const std::string& TensorFile::metadata(const std::string& name) const {
   const auto found = metadata_.find(name);
   if (found == metadata_.end()) throw FileError("the file has no metadata " + name);
   return found->second;
+}
+
+bool TensorFile::holds_steps(const std::string& name) const {
+  const auto found = tensors_.find(name);
+  return found != tensors_.end() && found->second.type == "I8";
 }
 
 const unsigned char* TensorFile::numbers(const std::string& name, const char* type, std::vector<int>& shape) {

@@ -29,7 +29,7 @@ std::string shown(const std::string& text);
 
 class TensorFile {
  public:
-  // Checks the whole header: arrays of float32 and int32 that fill the file, one behind the other. Throws FileError.
+  // Checks the whole header: arrays of float32, int32 and int8 that fill the file, one behind the other. Throws FileError.
   // `data` is viewed, not copied.
   TensorFile(const unsigned char* data, std::size_t size);
 
@@ -41,7 +41,10 @@ class TensorFile {
   // numbers. physkin_core/tensor_file.py computes the same.
   std::string digest() const;
 
-  // The numbers of a tensor, four bytes each, at any address. A negative size in `shape` allows any and is filled in.
+  // Whether a tensor is one of 8-bit integers.
+  bool holds_steps(const std::string& name) const;
+
+  // The numbers of a tensor of type "F32", "I32" or "I8", at any address. A negative size in `shape` allows any and is filled in.
   // Throws FileError if there is no such tensor, or it has another type or shape.
   const unsigned char* numbers(const std::string& name, const char* type, std::vector<int>& shape);
 

@@ -104,7 +104,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "6";
+constexpr char kBoundGarmentVersion[] = "7";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

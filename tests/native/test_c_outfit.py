@@ -1,0 +1,89 @@
+"""Outfits in the plain C interface: one mesh of parts, as Python drapes them; what their file may hold."""
+
+import ctypes
+import re
+
+import numpy as np
+import pytest
+from model_files import sealed
+from native_library import BAD_FILE, OK, c_library, load, step_moving
+
+from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
+from physkin_core.tensor_file import read_tensors
+
+
+@pytest.fixture(scope="module")
+def c():
+    return c_library()
+
+
+@pytest.fixture(scope="module")
+def two_layers():
+    """A T-shirt over trousers, on the bundled avatar."""
+    models = [load_garment_model(name) for name in ("trousers", "tshirt")]
+    return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
+
+
+def test_an_outfit_is_one_mesh_of_parts(c, two_layers, tmp_path):
+    """Python's bits, the order of layers among them, over a walk whose root moves."""
+    two_layers.save_bound(tmp_path / "outfit")
+    assert len(two_layers.orders) == 1
+    status, outfit = load(c, (tmp_path / "outfit").read_bytes())
+    assert status == OK, c.physkin_last_error()
+    assert [c.physkin_part_name(outfit, k) for k in range(-1, 3)] == [None, b"trousers", b"tshirt", None]
+    ranges = [ranges_of(c, outfit, part) for part in range(2)]
+    inner, outer = two_layers.layers
+    assert ranges[0] == [0, inner.vertex_count, 0, len(inner.faces)]
+    assert ranges[1] == [inner.vertex_count, outer.vertex_count, len(inner.faces), len(outer.faces)]
+    count = c.physkin_face_count(outfit)
+    faces = np.ctypeslib.as_array(c.physkin_faces(outfit), shape=(count, 3))
+    assert np.array_equal(faces, np.concatenate([inner.faces, outer.faces + inner.vertex_count]))
+    with pytest.raises(AssertionError, match="part is 2; must be from 0 to 1"):
+        ranges_of(c, outfit, 2)
+    motion = load_motion("dance")
+    out = np.empty((c.physkin_vertex_count(outfit), 6), dtype=np.float32)
+    poses = motion.positions_for(two_layers.rig).astype(np.float32)[:60]
+    for pose, time, root in zip(poses, motion.times, motion.root):
+        assert step_moving(c, outfit, pose, time, root, out) == OK, c.physkin_last_error()
+        assert np.array_equal(out, np.concatenate(two_layers.drape(pose, time=time, root=root)))
+    c.physkin_close(outfit)
+
+
+def ranges_of(c, outfit, part):
+    """First vertex, vertices, first face, faces."""
+    numbers = [ctypes.c_int32() for _ in range(4)]
+    status = c.physkin_part_range(outfit, part, *map(ctypes.byref, numbers))
+    assert status == OK, c.physkin_last_error()
+    return [number.value for number in numbers]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda t: t["order.0.layers"].__setitem__(0, 2), r"order.0.layers\[0\] is 2; must be in \[0, 2\)"),
+        (lambda t: t["order.0.layers"].__setitem__(0, 1), "layers 1 and 1 must be two of 2"),
+        (lambda t: t["order.0.edge"].__setitem__(0, np.nan), "order.0.edge is nan m; must be above 0, below 1"),
+        (lambda t: t["order.0.contact"].__setitem__(0, -1), r"contact\[0\] is -1"),
+        (lambda t: t["1.bone_heads"].__setitem__((0, 0), 9), "garment 1 has another rig or body"),
+    ],
+)
+def test_other_outfits_are_refused(change, message, c, two_layers, tmp_path):
+    two_layers.save_bound(tmp_path / "outfit")
+    metadata, tensors = read_tensors((tmp_path / "outfit").read_bytes())
+    change(tensors)
+    status, outfit = load(c, sealed(metadata, tensors))
+    assert (status, outfit.value) == (BAD_FILE, None)
+    assert re.search(message, c.physkin_last_error().decode()), c.physkin_last_error()
+
+
+def test_matrices_on_steps_are_stored_in_bytes(two_layers, tmp_path):
+    """Those of shipped models, to the bit: their file takes half."""
+    two_layers.save_bound(tmp_path / "outfit")
+    _, tensors = read_tensors((tmp_path / "outfit").read_bytes())
+    in_bytes = [name for name, tensor in tensors.items() if tensor.dtype == np.int8]
+    assert {"detail_offsets", "pose_layers.3.weight", "1.deformer_layers.4.weight"} <= set(in_bytes)
+    for name in in_bytes:
+        assert tensors[f"{name}.step"].shape == (len(tensors[name]), 1)
+    offsets = tensors["1.detail_offsets"] * tensors["1.detail_offsets.step"]
+    assert np.array_equal(offsets, two_layers.layers[1].given.detail_offsets)
+    assert (tmp_path / "outfit").stat().st_size < 1e7
