@@ -25,14 +25,16 @@ from physkin_training.soap import Soap
 from physkin_training.sway.learning import KEPT, learning_rate
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
-from physkin_training.sway.walker_simulation import in_one_size
+from physkin_training.sway.walker_simulation import SLOWLY, in_one_size
 from physkin_training.sway.walkers import KEPT_EVERY, Walkers
 from physkin_training.sway.windows import STRIDES, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
-ENERGY = 30.0
-"""[1/J] how much energies count against squared distances, in shares of those of cloth from where it is on average."""
+ENERGY, GROWS_FOR = 0.3, 0.5
+"""How much energies count, in shares of that of cloth that swings as far as it is from where it is on average, against
+squared distances, in shares of that; and the share of the steps in which it grows to that: strain is taken out little
+by little, as less swing would be the quickest way."""
 WINDOWS, DRAPED = 6, 2
 """Windows a body in a step, and of how many the last frame is draped."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 1e-3, 0.02, 100
@@ -96,6 +98,7 @@ def tuned_network(
     of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
     is_draped = torch.arange(WINDOWS * len(of_body), device=walkers.positions.device) % WINDOWS < DRAPED
     spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
+    swing = SLOWLY / 2 * cloth.mass * spread / 1e6
     watch = progress_line("fine-tuning")
     for step in range(steps):
         for group in optimiser.param_groups:
@@ -106,7 +109,8 @@ def tuned_network(
         error = walkers.shapes.millimetres(last.coefficients(hidden) - window.coefficients) / spread
         offsets = last(hidden[is_draped, -1])
         forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
-        loss = window.mean(error) + ENERGY * (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
+        energy = (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
+        loss = window.mean(error) + ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)) * energy / swing
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -116,7 +120,7 @@ def tuned_network(
 
 
 class _Cloth:
-    """Drapes of a few walkers on each body."""
+    """Drapes of a few walkers on each body. mass [kg], the mean over bodies."""
 
     def __init__(self, model: GarmentModel, body_model: BodyModel, walkers: Walkers) -> None:
         self._walkers = walkers
@@ -125,6 +129,7 @@ class _Cloth:
         self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=in_one_size(count))
         self._potential = self._dressed.potential(1 / RATE_HZ, Dynamics())
         self._skinning = NodeSkinning(self._dressed)
+        self.mass = self._potential.time_step.mass.sum(dim=1).mean()
 
     @torch.no_grad()
     def forces(self, offsets: torch.Tensor, walker: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:

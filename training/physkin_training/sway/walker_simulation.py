@@ -24,7 +24,7 @@ from physkin_training.sway.motions import WalkerMotions
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
 
-__all__ = ["WalkerSimulation", "in_one_size"]
+__all__ = ["SLOWLY", "WalkerSimulation", "in_one_size"]
 
 ONE_SIZE = 3
 """Every third body wears the template, the others what is made to measure."""
