@@ -8,7 +8,8 @@ import pytest
 from physkin_core import Draper, Garment, load_garment_model
 from physkin_core.model.model_file import save_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_training.networks.carried_model import Counterparts, carried_model
+from physkin_training.networks.carried_model import carried_model
+from physkin_training.networks.laid_on import Counterparts, lay_on
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def shuffled(garment: Garment, kept: np.ndarray) -> tuple[Garment, np.ndarray]:
 
 
 def test_a_cropped_garment_drapes_as_the_whole(tank_top, template, tmp_path):
-    """But for what smoothing the weights does; and it can be stored."""
+    """Its cloth stays where it lies; and it can be stored."""
     whole = tank_top.garment
     kept = whole.vertices[whole.faces][:, :, 2].mean(axis=1) > 0.1
     garment, vertices = shuffled(whole, kept)
@@ -37,6 +38,29 @@ def test_a_cropped_garment_drapes_as_the_whole(tank_top, template, tmp_path):
     apart = own.drape(positions[5], gravity[5])[:, :3] - other.drape(positions[5], gravity[5])[vertices, :3]
     distance = np.linalg.norm(apart, axis=1)
     assert distance.mean() < 2e-3 and distance.max() < 2e-2
+
+
+def sheet(x: np.ndarray, y: np.ndarray, height: np.ndarray) -> Garment:
+    """A grid of points at x (r,) and y (c,), and as high (r,) above them."""
+    rows, columns = len(x), len(y)
+    corner = np.arange(rows * columns).reshape(rows, columns)[:-1, :-1].reshape(-1, 1)
+    faces = np.concatenate([corner + [0, columns, columns + 1], corner + [0, columns + 1, 1]])
+    points = np.stack([np.repeat(x, columns), np.tile(y, rows), np.repeat(height, columns)], axis=1)
+    return Garment(points, faces)
+
+
+def test_cloth_is_laid_in_the_folds_of_the_other():
+    """A flat sheet on one with ripples of 1 cm ends in these, its edges as long as before."""
+
+    def ripple(x: np.ndarray) -> np.ndarray:
+        return 0.01 * np.sin(20 * np.pi * x)
+
+    x, y = np.arange(-25, 26) / 100, np.arange(-15, 16) / 100
+    flat, other = sheet(0.8 * x, y[3:-3], 0 * x), sheet(x, y, ripple(x))
+    laid = lay_on(flat, other)
+    assert np.abs(laid.vertices[:, 2] - ripple(laid.vertices[:, 0])).mean() < 1e-3 and not laid.torn.any()
+    apart = np.linalg.norm(laid.vertices[flat.edges[:, 0]] - laid.vertices[flat.edges[:, 1]], axis=1)
+    assert np.abs(apart / flat.edge_lengths - 1).mean() < 0.01
 
 
 def test_counterparts_face_as_the_cloth_does():

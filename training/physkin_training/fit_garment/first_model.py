@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.check.garment_check import GarmentCheck, check_garment
 from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model, shipped_models
+from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.outfit.draper import Draper
 from physkin_core.render.filming import dressed_meshes
 from physkin_training.evaluate.contact_sheet import chosen_poses
@@ -22,7 +22,7 @@ from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.networks.carried_model import carried_model
 from physkin_training.networks.likeness import NEAR, Likeness
 
-__all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "write_first_model"]
+__all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
 
 CHECK, NOTHING = "nearest garment", "nothing"
 CLOSE, ROUGH = 6.0, 12.0
@@ -41,22 +41,30 @@ def chosen_start(garment: Garment, name: str | None) -> tuple[Likeness | None, V
     if name == NOTHING:
         return None, Verdict(CHECK, "ok", "not looked for: training begins with nothing, as you asked", NEAR)
     models = map(load_garment_model, [name] if name else shipped_models())
-    likeness = min((Likeness.between(garment, model) for model in models), key=lambda each: each.score)
+    likeness = Likeness.nearest(garment, models)
     if likeness.near or name:
         return likeness, Verdict(CHECK, "ok", f"{likeness}; training begins with its networks", NEAR)
     found = f"far from all; the nearest is {likeness}: training begins with nothing"
     return None, Verdict(CHECK, "warning", found, NEAR)
 
 
-def write_first_model(path: Path, mesh: Path, likeness: Likeness | None) -> GarmentModel:
-    """The model of a mesh file before training, as `path`: the nearest garment's, carried over, or where there is none,
-    None, one of garment nodes that follow their bones."""
+def first_model(mesh: Path, likeness: Likeness | None, *, name: str) -> GarmentModel:
+    """The model of a mesh file before training: the nearest garment's, carried over, its mesh laid in that one's folds;
+    or where there is none, None, one of garment nodes that follow their bones."""
     if likeness is None:
-        model = plain_model(mesh)
-    else:
-        model = carried_model(likeness.model, load_garment(mesh), name=path.stem)
-    save_garment_model(model, path)
-    return model
+        return replace(plain_model(mesh), name=name)
+    return carried_model(likeness.model, load_garment(mesh), name=name)
+
+
+def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
+    """How far a garment's vertices were moved for its first model, and how that changed its edges."""
+    moved = np.linalg.norm(model.garment.vertices - garment.vertices, axis=1)
+    edges = np.abs(model.garment.edge_lengths / garment.edge_lengths - 1)
+    found = (
+        f"laid in the folds of {model.training['carried_from']}: vertices moved by {1e3 * moved.mean():.0f} mm on "
+        f"average, rest edges changed by {100 * edges.mean():.1f} %"
+    )
+    return Verdict("folds", "repaired", found, "those of the garment that training begins with")
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from physkin_core.picture import PictureError, contact_sheet, save_png
 from physkin_training.config import TrainingConfig, load_config
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
-from physkin_training.fit_garment.first_model import NOTHING, chosen_start, first_look, write_first_model
+from physkin_training.fit_garment.first_model import NOTHING, chosen_start, first_look, first_model, folds_verdict
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, started_from
 from physkin_training.fit_garment.report import placement_picture, write_report
@@ -37,7 +37,6 @@ from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, 
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
 from physkin_training.fit_garment.verdicts import verdict_table
-from physkin_training.networks.likeness import Likeness
 from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
@@ -209,7 +208,8 @@ def _fit(options: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     mesh = folder / "garment.obj"
     write_garment(mesh, checked)
-    likeness, verdict = chosen_start(load_garment(mesh), getattr(options, "from"))
+    garment = load_garment(mesh)
+    likeness, verdict = chosen_start(garment, getattr(options, "from"))
     checked = replace(checked, verdicts=(*checked.verdicts, verdict))
     print(verdict_table(checked.verdicts))
     kept = f" with {checked.look}" if str(checked.look) else ""
@@ -226,7 +226,13 @@ def _fit(options: argparse.Namespace) -> int:
         return REFUSED
     if options.check_only:
         return 0
-    return _train_and_report(options, checked, mesh, likeness, template, avatar, device, budget)
+    model = first_model(mesh, likeness, name=output.stem)
+    if likeness is not None:
+        folds = folds_verdict(garment, model)
+        print(f"{mesh}: {folds.found}")
+        checked = replace(checked, vertices=model.garment.vertices, verdicts=(*checked.verdicts, folds))
+        write_garment(mesh, checked)
+    return _train_and_report(options, checked, mesh, model, template, avatar, device, budget)
 
 
 def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> None:
@@ -250,7 +256,7 @@ def _train_and_report(
     options: argparse.Namespace,
     checked: CheckedGarment,
     mesh: Path,
-    likeness: Likeness | None,
+    model: GarmentModel,
     template: Avatar,
     avatar: Avatar,
     device: torch.device,
@@ -262,8 +268,8 @@ def _train_and_report(
     if resumed:
         config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
     else:
-        start = _first_model(options, mesh, likeness, avatar)
-        config, earlier = _configuration(options, mesh, start, device, budget), 0.0
+        _show_first(options, mesh, model, avatar)
+        config, earlier = _configuration(options, mesh, model, device, budget), 0.0
         configuration.write_text(as_toml(config))
         losses.unlink(missing_ok=True)
     began = budget.spent
@@ -302,13 +308,10 @@ def _train_and_report(
     return 0
 
 
-def _first_model(
-    options: argparse.Namespace, mesh: Path, likeness: Likeness | None, avatar: Avatar
-) -> GarmentModel | None:
-    """Write what can be worn before training, and a picture of it; says how good it is. Returns it where training
-    begins with it."""
+def _show_first(options: argparse.Namespace, mesh: Path, model: GarmentModel, avatar: Avatar) -> None:
+    """Write what can be worn before training, and a picture of it; says how good it is."""
     output, picture = options.output, mesh.with_name(FIRST)
-    model = write_first_model(output, mesh, likeness)
+    save_garment_model(model, output)
     look = first_look(model, avatar, load_body_model())
     print(f"wrote {output}, to be worn while it trains: {look}")
     try:
@@ -316,11 +319,10 @@ def _first_model(
         print(f"wrote {picture}")
     except PictureError as error:
         print(f"no picture: {error}")
-    return likeness and model
 
 
 def _configuration(
-    options: argparse.Namespace, mesh: Path, start: GarmentModel | None, device: torch.device, budget: TimeBudget
+    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device, budget: TimeBudget
 ) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
     name = options.output.stem
@@ -328,11 +330,12 @@ def _configuration(
         recipe = load_config(options.recipe, name=name, garment=mesh)
     else:
         recipe = default_recipe(name, mesh, device)
-    if start is not None and has_sizes_of(recipe, start):
+    carried = "carried_from" in start.training
+    if carried and has_sizes_of(recipe, start):
         beside = mesh.with_name(START)
         save_garment_model(start, beside)
         recipe = started_from(recipe, beside)
-    elif start is not None:
+    elif carried:
         log.warning("training begins with nothing: %s has other sizes than %s", options.recipe, start.name)
     steps = options.steps or choose_steps(recipe, device, budget)
     return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))

@@ -1,7 +1,8 @@
 """A garment model carried over to another garment: what that can wear before it has trained, and trains from.
 
-Networks, garment nodes and detail nodes are the model's own. Cloth takes its skinning weights and its detail from the
-closest places of the model's cloth; where it reaches beyond that, it goes on as the edge there does.
+Networks, garment nodes and detail nodes are the model's own. Cloth is laid in the folds of the model's and takes its
+skinning weights and its detail from the places where it lies; where it reaches beyond that, it goes on as the edge
+there does.
 
 Dimensions: `n` vertices, `v` those of the model's garment, `m` garment nodes, `D` detail nodes. Metres, canonical pose.
 """
@@ -9,61 +10,31 @@ Dimensions: `n` vertices, `v` those of the model's garment, `m` garment nodes, `
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import reduce
+from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array, eye_array
-from scipy.spatial import cKDTree
+from scipy.sparse import csr_array, diags_array, eye_array
 
-from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
+from physkin_training.networks.laid_on import Counterparts, joined_vertices, lay_on
 
-__all__ = ["Counterparts", "carried_model"]
+__all__ = ["carried_model"]
 
-MIXED = 3
-"""Closest vertices whose weights are mixed, by the square of their distance."""
-SOFTENED = 1e-3
-"""[m] added to these distances: a vertex that lies on another takes that one's."""
 SMOOTHED = 0.02
-"""[m] Width over which weights that were taken over are smoothed: where the one garment has folds and the other none,
-neighbours have counterparts far apart."""
-
-
-@dataclass(frozen=True)
-class Counterparts:
-    """Where the vertices of a garment lie on another one's cloth that faces as they do: near (n, 3) indices of the
-    closest vertices there, share (n, 3) of each, rows sum to 1, and distance (n,) [m] to the first."""
-
-    near: np.ndarray
-    share: np.ndarray
-    distance: np.ndarray
-
-    @classmethod
-    def of(cls, garment: Garment, other: Garment) -> Counterparts:
-        """Of the vertices of `garment` on `other`."""
-        apart, near = cKDTree(_places(other)).query(_places(garment), k=MIXED)
-        share = 1 / (apart + SOFTENED) ** 2
-        distance = np.linalg.norm(garment.vertices - other.vertices[near[:, 0]], axis=1)
-        return cls(near, share / share.sum(axis=1, keepdims=True), distance)
-
-    def weights(self, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Weights of all nodes (n, m), of the other garment's influences: nodes (v, K), weights (v, K)."""
-        dense = np.zeros((len(self.near), int(nodes.max()) + 1))
-        for near, share in zip(self.near.T, self.share.T):
-            dense += dense_weights(nodes[near], share[:, None] * weights[near], dense.shape[1])
-        return dense
+"""[m] Width over which weights are smoothed where neighbours have counterparts far apart."""
 
 
 def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
-    """The model on another garment, called `name`: its rest normals are those of the mesh, it has no scores, and in
-    `training` it says what it was `carried_from`."""
-    there, smooth = Counterparts.of(garment, model.garment), _smoothing(garment)
+    """The model on another garment, called `name`, which lies in the folds of the model's (`lay_on`): its rest normals
+    are those of the mesh, it has no scores, and in `training` it says what it was `carried_from`."""
+    laid = lay_on(garment, model.garment)
+    garment = replace(garment, vertices=laid.vertices)
+    mended = _mended(garment, laid.torn)
 
     def carried(nodes: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found, shares = strongest_influences(smooth @ there.weights(nodes, weights), nodes.shape[1])
+        found, shares = strongest_influences(mended @ _weights(laid.there, nodes, weights), nodes.shape[1])
         return found.astype(np.int32), shares
 
     influence_nodes, influence_weights = carried(model.influence_nodes, model.influence_weights)
@@ -87,16 +58,23 @@ def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> Garmen
     )
 
 
-def _smoothing(garment: Garment) -> csr_array:
-    """(n, n) a mean over the cloth about each vertex, `SMOOTHED` wide: rounds of one half itself, one half its
-    neighbours."""
-    n = len(garment.vertices)
-    pairs = np.concatenate([garment.edges, garment.edges[:, ::-1]]).T
-    joined = coo_array((np.ones(pairs.shape[1]), pairs), shape=(n, n)).tocsr()
-    once = (eye_array(n) + diags_array(1 / joined.sum(axis=1)) @ joined) / 2
+def _weights(there: Counterparts, nodes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weights of all nodes (n, m), of the other garment's influences: nodes (v, K), weights (v, K)."""
+    dense = np.zeros((len(there.near), int(nodes.max()) + 1))
+    for near, share in zip(there.near.T, there.share.T):
+        dense += dense_weights(nodes[near], share[:, None] * weights[near], dense.shape[1])
+    return dense
+
+
+def _mended(garment: Garment, torn: np.ndarray) -> csr_array:
+    """(n, n): each vertex itself, but near torn (n,) ones a mean over the cloth about it, `SMOOTHED` wide."""
+    joined = joined_vertices(garment)
+    once = (eye_array(len(torn)) + diags_array(1 / joined.sum(axis=1)) @ joined) / 2
     rounds = math.ceil(2 * (SMOOTHED / garment.edge_lengths.mean()) ** 2)
-    return reduce(lambda so_far, _: so_far @ once, range(rounds), eye_array(n, format="csr"))
-
-
-def _places(garment: Garment) -> np.ndarray:
-    return with_normals(garment.vertices, vertex_normals(garment.vertices, garment.faces))
+    near = torn.astype(np.float64)
+    for _ in range(rounds):
+        near = np.maximum(near, once @ near)
+    mean = diags_array(near) @ eye_array(len(torn), format="csr")
+    for _ in range(rounds):
+        mean = mean @ once
+    return diags_array(1 - near) + mean

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,10 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_paths import openings
-from physkin_training.networks.carried_model import Counterparts
+from physkin_training.networks.laid_on import BEYOND, Counterparts
 
 __all__ = ["NEAR", "Likeness"]
 
-BEYOND = 0.05
-"""[m] Cloth farther than this from all of another garment's has no counterpart there."""
 MOST_BEYOND, FARTHEST = 0.4, 0.4
 """Share of its cloth that may have none, and how far [m] that may be, where it begins with that garment's networks."""
 NEAR = (
@@ -42,13 +41,18 @@ class Likeness:
     score: float
 
     @classmethod
-    def between(cls, garment: Garment, model: GarmentModel) -> Likeness:
-        """How a garment is like that of a model."""
+    def nearest(cls, garment: Garment, models: Iterable[GarmentModel]) -> Likeness:
+        """How a garment is like that of the model which it is most like."""
+        loops = len(openings(garment.vertices, garment.faces))
+        return min((cls._between(garment, loops, model) for model in models), key=lambda each: each.score)
+
+    @classmethod
+    def _between(cls, garment: Garment, loops: int, model: GarmentModel) -> Likeness:
         other = model.garment
         there, back = Counterparts.of(garment, other).distance, Counterparts.of(other, garment).distance
         area, other_area = (each.vertex_areas / each.vertex_areas.sum() for each in (garment, other))
         mean = float(there @ area)
-        more = len(openings(garment.vertices, garment.faces)) - len(openings(other.vertices, other.faces))
+        more = loops - len(openings(other.vertices, other.faces))
         capped, capped_back = (float(np.minimum(d, BEYOND) @ a) for d, a in ((there, area), (back, other_area)))
         score = capped + NOT_COVERED * capped_back + OTHER_OPENINGS * abs(more)
         return cls(model, mean, float(there.max()), float(area[there > BEYOND].sum()), more, score)

@@ -1,0 +1,141 @@
+"""A garment laid on another one's cloth: its own fabric, in the other one's folds.
+
+Networks that were trained on a garment take out the folds that its rest mesh lies in, vertex by vertex. On a mesh with
+folds of its own these stay, and those of the other come on top. So cloth slides over that of the other garment until
+it lies in its folds without being stretched; what is wider, longer or looser there, on the whole, is kept.
+
+Dimensions: `n` vertices, `v` and `f` those and the faces of the other garment. Metres, canonical pose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.csgraph import laplacian
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from physkin_core.avatar.surface_matching import with_normals
+from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.quality import closest_points
+
+__all__ = ["Counterparts", "LaidOn", "joined_vertices", "lay_on"]
+
+MIXED = 3
+"""Closest vertices whose weights are mixed, by the square of their distance."""
+SOFTENED = 1e-3
+"""[m] added to these distances: a vertex that lies on another takes that one's."""
+BEYOND = 0.05
+"""[m] Cloth farther than this from all of another garment's has no counterpart there."""
+FOLDS = 0.15
+"""[m] Shapes narrower than this are folds and are taken over; wider ones are the cut's."""
+HELD = 0.1
+"""How firmly cloth is held on the other garment's, against its edges' lengths."""
+SLIDING = 0.05
+"""Share of that along the cloth, on which it slides."""
+ROUNDS = 60
+PARTED = 2.0
+"""Counterparts of neighbours that are this many times as far apart as these are torn."""
+FACING = 0.2
+"""Cosine from which on cloth faces the same way: what lies behind is the other side, or the other leg."""
+
+
+@dataclass(frozen=True)
+class Counterparts:
+    """Where vertices lie on another garment's cloth that faces as they do: near (n, 3) indices of vertices there,
+    share (n, 3) of each, rows sum to 1, and distance (n,) [m]."""
+
+    near: np.ndarray
+    share: np.ndarray
+    distance: np.ndarray
+
+    @classmethod
+    def of(cls, garment: Garment, other: Garment) -> Counterparts:
+        """The closest vertices of `other` to the vertices of `garment`."""
+        apart, near = cKDTree(_places(other)).query(_places(garment), k=MIXED)
+        share = 1 / (apart + SOFTENED) ** 2
+        distance = np.linalg.norm(garment.vertices - other.vertices[near[:, 0]], axis=1)
+        return cls(near, share / share.sum(axis=1, keepdims=True), distance)
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """What lies there of values (v, k) of the other garment's vertices."""
+        return np.einsum("nk,nki->ni", self.share, values[self.near])
+
+
+@dataclass(frozen=True)
+class LaidOn:
+    """vertices (n, 3) [m]: the garment's, laid on the other one's cloth. there: its counterparts then; torn (n,) bool:
+    vertices whose neighbours' counterparts are not beside their own."""
+
+    vertices: np.ndarray
+    there: Counterparts
+    torn: np.ndarray
+
+
+def lay_on(garment: Garment, other: Garment) -> LaidOn:
+    """Lay a garment on the cloth of another one that lies about where it does."""
+    first = Counterparts.of(garment, other)
+    beyond = first.distance > BEYOND
+    joined = joined_vertices(garment)
+    steps = laplacian(joined)
+    wide = (FOLDS / garment.edge_lengths.mean()) ** 2
+    offset = splu((eye_array(len(beyond)) + wide * steps).tocsc()).solve(garment.vertices - first.mean(other.vertices))
+    facing, normals = (vertex_normals(each.vertices, each.faces) for each in (garment, other))
+    solve = splu((steps + HELD * eye_array(len(beyond))).tocsc()).solve
+    a, b = garment.edges.T
+    ends = csr_array((np.repeat([1.0, -1.0], len(a)), (np.concatenate([a, b]), np.tile(np.arange(len(a)), 2))))
+
+    def counterparts(vertices: np.ndarray) -> tuple[Counterparts, np.ndarray, np.ndarray]:
+        """The closest places, the normals there, and where these face another way."""
+        distance, face, share = closest_points(vertices - offset, other.vertices, other.faces)
+        there = Counterparts(other.faces[face], share, distance)
+        normal = there.mean(normals)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return there, normal, (normal * facing).sum(axis=1) < FACING
+
+    vertices = garment.vertices
+    for _ in range(ROUNDS):
+        there, normal, turned = counterparts(vertices)
+        missing = there.mean(other.vertices) + offset - vertices
+        across = (missing * normal).sum(axis=1, keepdims=True) * normal
+        pull = across + SLIDING * (missing - across)
+        pull[beyond | turned] = 0.0
+        edges = vertices[a] - vertices[b]
+        sewn = edges * (garment.edge_lengths / np.linalg.norm(edges, axis=1))[:, None]
+        vertices = solve(ends @ sewn + HELD * (vertices + pull))
+    there, _, turned = counterparts(vertices)
+    near, share = (
+        np.where(turned[:, None], old, new) for old, new in ((first.near, there.near), (first.share, there.share))
+    )
+    there = Counterparts(near, share, there.distance)
+    places, torn = there.mean(other.vertices), np.zeros(len(beyond), dtype=bool)
+    apart = np.linalg.norm(places[a] - places[b], axis=1) > PARTED * garment.edge_lengths
+    apart |= _parted(there, other, a, b, garment.edge_lengths)
+    for end in (a, b):
+        np.logical_or.at(torn, end, apart)
+    return LaidOn(vertices, there, torn)
+
+
+def _parted(there: Counterparts, other: Garment, a: np.ndarray, b: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Which of the edges from vertices a to b (e,) of these lengths [m] have ends whose counterparts are, along the
+    other garment, not beside each other: they may lie close, but on one leg and the other."""
+    main = np.take_along_axis(there.near, there.share.argmax(axis=1)[:, None], axis=1)[:, 0]
+    rings = 2 + math.ceil(lengths.mean() / other.edge_lengths.mean())
+    step = joined_vertices(other) + eye_array(len(other.vertices), format="csr")
+    reached = reduce(lambda so_far, _: (so_far @ step).sign(), range(rings - 1), step)
+    return np.asarray(reached[main[a], main[b]]).ravel() == 0
+
+
+def joined_vertices(garment: Garment) -> csr_array:
+    """(n, n): 1 where an edge joins two vertices."""
+    n = len(garment.vertices)
+    pairs = np.concatenate([garment.edges, garment.edges[:, ::-1]]).T
+    return csr_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(n, n))
+
+
+def _places(garment: Garment) -> np.ndarray:
+    return with_normals(garment.vertices, vertex_normals(garment.vertices, garment.faces))
