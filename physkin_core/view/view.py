@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import webbrowser
+from collections.abc import Sequence
 from contextlib import closing
 from importlib import import_module
 
@@ -21,6 +22,7 @@ from physkin_core.outfit.outfit_options import (
     print_warnings,
 )
 from physkin_core.view.garment_files import GarmentFiles
+from physkin_core.view.own_meshes import OwnMeshes
 from physkin_core.view.page import Page
 
 __all__ = ["begin", "command_parser", "end_at_sigterm", "main"]
@@ -38,18 +40,21 @@ def main(argv: list[str]) -> int:
     options = command_parser().parse_args(argv)
     if options.ros:
         return import_module(ROS_PAGE).show(options)
-    with closing(AssetLoader()) as loader:
-        return _show(options, loader)
+    end_at_sigterm()
+    made_on = ["--avatar", options.avatar] if options.avatar else []
+    made_on += ["--rig", options.rig] if options.rig else []
+    with closing(OwnMeshes(options.garment or WORN, made_on)) as own, closing(AssetLoader()) as loader:
+        return _show(options, own.garments, loader)
 
 
-def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
+def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoader) -> int:
     from physkin_core.view.scene.scene_state import SceneState
     from physkin_core.view.viewer import Viewer
 
     motion = None if options.motion == "none" else options.motion
     state = SceneState(
         loader,
-        options.garment or WORN,
+        garments,
         tucked=options.tucked,
         body=options.avatar or BUNDLED_AVATAR,
         rig_file=options.rig,
@@ -60,7 +65,6 @@ def _show(options: argparse.Namespace, loader: AssetLoader) -> int:
         points=options.points,
     )
     print_warnings(state.warnings)
-    end_at_sigterm()
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)
 
