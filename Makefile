@@ -17,7 +17,12 @@ PUBLIC := $(shell sed -n 's/^from \(physkin_core[^ ]*\) import.*/-m \1/p' physki
 CPP := $(shell find native tests/native -name '*.[ch]pp' -o -name '*.h')
 MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-slow bench docs gallery wheel lint format clean
+# Emscripten (Debian: emscripten) and npm make the evaluator for browsers, an npm package, in build/web.
+WEB := build/web
+WEB_FROM := $(shell find native/src native/include native/web -type f) native/CMakeLists.txt
+THREE := $(WEB)/node_modules/three
+
+.PHONY: demo test test-slow bench docs gallery wasm wheel lint format clean
 
 # VIEW=1: a page in the browser in its place, which needs no ROS.
 ifdef VIEW
@@ -29,7 +34,7 @@ demo: $(VENV)/installed-demo
 endif
 
 # One thread each while several run. A test still running after ten minutes counts as hung, and fails.
-test: $(VENV)/installed-test
+test: $(VENV)/installed-test $(if $(shell command -v emcmake),wasm)
 	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow" --numprocesses $(PROCESSES) --dist loadfile --timeout 600
 
 # One test at a time: some measure times.
@@ -47,6 +52,23 @@ docs: $(VENV)/installed-docs
 # The pictures and plots of docs/, made anew: some minutes.
 gallery: $(VENV)/installed-test
 	for script in docs/draw_*.py; do $(VENV)/bin/python $$script || exit 1; done
+
+# With what a page needs in build/web/page, which `physkin export --web` copies: it is put beside the installed module, and
+# into wheels that are built afterwards.
+wasm: $(WEB)/made | $(VENV)/bin/python
+	$(VENV)/bin/python native/web/install_page.py $(WEB)/page
+
+$(WEB)/made: $(WEB_FROM)
+	emcmake cmake -S native -B build/wasm -DPHYSKIN_PYTHON_MODULE=OFF > build/wasm.log
+	cmake --build build/wasm --target physkin_wasm >> build/wasm.log
+	mkdir -p $(WEB)/page/three/addons/loaders $(WEB)/page/three/addons/controls $(WEB)/page/three/addons/utils
+	cp native/web/*.js native/web/*.ts native/web/package.json build/wasm/physkin.wasm LICENSE $(WEB)
+	npm install --silent --no-fund --no-audit --prefix $(WEB)
+	cp native/web/page/* native/web/physkin.js native/web/three.js build/wasm/physkin.wasm $(WEB)/page
+	cp $(THREE)/build/three.module.min.js $(THREE)/build/three.core.min.js $(THREE)/LICENSE $(WEB)/page/three
+	for addon in loaders/GLTFLoader.js controls/OrbitControls.js utils/BufferGeometryUtils.js; do \
+		cp $(THREE)/examples/jsm/$$addon $(WEB)/page/three/addons/$$addon || exit 1; done
+	touch $@
 
 # For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl
 wheel: $(VENV)/installed-wheel

@@ -11,6 +11,7 @@ import numpy as np
 
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
+from physkin_core.export.web_page import write_web_page
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours, cloth_look
 from physkin_core.mesh.look import Look
@@ -43,11 +44,17 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="MESH",
         help="texture places and materials of a garment: its mesh (fit-garment's garment.obj); one for each garment",
     )
-    parser.add_argument(
+    wanted = parser.add_mutually_exclusive_group(required=True)
+    wanted.add_argument(
         *("-o", "--output"),
         type=Path,
-        required=True,
         help="a .glb with garment nodes as joints, or .usd, .usdc with every vertex in every frame",
+    )
+    wanted.add_argument(
+        "--web",
+        type=Path,
+        metavar="FOLDER",
+        help="instead: a page for any web server; its cloth is computed in the browser (docs/browser.md)",
     )
     return parser
 
@@ -55,6 +62,8 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     """Command line. Returns 0; errors are raised."""
     options = command_parser().parse_args(argv)
+    if options.web is not None:
+        return _write_page(options)
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
@@ -67,6 +76,15 @@ def main(argv: list[str]) -> int:
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     print_warnings(not_shown)
+    return 0
+
+
+def _write_page(options: argparse.Namespace) -> int:
+    if options.web.exists() and not options.web.is_dir():
+        raise ValueError(f"cannot write {options.web}: it is a file; name a folder")
+    motion, outfit = read_motion(options), dressed(options, whole=True)
+    size = write_web_page(options.web, outfit, motion, garment_looks(options.look, outfit))
+    print(f"wrote {options.web}: {size / 1e6:.1f} MB; to see it: python3 -m http.server -d {options.web}")
     return 0
 
 

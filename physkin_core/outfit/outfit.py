@@ -22,6 +22,7 @@ from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
 from physkin_core.rig.rig import Rig
+from physkin_core.rig.vrm_bones import vrm_bone_table
 from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
@@ -124,6 +125,7 @@ class Outfit:
             names=[layer.name for layer in self.layers],
             joint_names=self.joint_names,
             orders=self.orders,
+            texts=vrm_bone_table(self.rig),
         )
 
     @property

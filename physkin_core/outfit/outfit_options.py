@@ -144,11 +144,11 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
     ]
 
 
-def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit:
+def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bool = False) -> Outfit:
     """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
 
-    for_engines: whole, and where there is no detail with the skinning weights that engines take. Raises as
-    `chosen_garments`, `load_avatar` and `Outfit`.
+    whole: with what cannot be seen, as what is worn over it can be taken off. for_engines: whole, and where there is no
+    detail with the skinning weights that engines take. Raises as `chosen_garments`, `load_avatar` and `Outfit`.
     """
     garments = chosen_garments(options.garment, options.tucked)
     if for_engines:
@@ -156,7 +156,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False) -> Outfit
             replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
         ]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit, hide=not for_engines, own_clothes=options.own_clothes)
+    outfit = Outfit(garments, avatar, fit=options.fit, hide=not (for_engines or whole), own_clothes=options.own_clothes)
     outfit.sway = getattr(options, "sway", outfit.sway)
     print_warnings(outfit.warnings)
     return outfit

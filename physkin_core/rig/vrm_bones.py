@@ -6,13 +6,15 @@ every bone has there. `hips` is left out: it places the root, whose tilt the dir
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 
 from physkin_core.rig.ball_joints import BallJoint
 from physkin_core.rig.canonical_pose import limb_rotations
 from physkin_core.rig.rig import Rig
 
-__all__ = ["VRM_AXES", "rig_ball_joint", "vrm_ball_joints"]
+__all__ = ["VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
 
 VRM_AXES = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 """VRM's X, Y and Z in the root frame (X forward, Y left, Z up)."""
@@ -43,6 +45,28 @@ def vrm_ball_joints(rig: Rig) -> dict[str, BallJoint]:
             before, after = aligned.get(above, np.eye(3)).T, aligned.get(own, np.eye(3))
             bones[side + bone] = rig_ball_joint(rig, joints, half=half, before=before, after=after)
     return bones
+
+
+def vrm_bone_table(rig: Rig) -> dict[str, str]:
+    """As `vrm_bones`, JSON text, how hosts without Python take a pose of VRM's humanoid bones apart: by bone, rotations
+    `before` and `after`, row by row, between which a rotation in VRM's axes is one about the rig's axes; `joints` that
+    turn by its three angles about X, Y and Z, "" for none, times `sign`; and, where `twist` is not -1, a fourth joint
+    that takes half of that angle. Nothing for a rig that is not the default one. native/web/vrm.js reads it."""
+    try:
+        balls = vrm_ball_joints(rig)
+    except ValueError:
+        return {}
+    table = {
+        bone: {
+            "before": (ball.frame.T @ ball.before @ VRM_AXES.T).round(7).ravel().tolist(),
+            "after": (VRM_AXES @ ball.after @ ball.frame).round(7).ravel().tolist(),
+            "joints": list(ball.joints),
+            "sign": int(np.sign(np.linalg.det(ball.frame))),
+            "twist": -1 if ball.twist is None else ball.twist,
+        }
+        for bone, ball in balls.items()
+    }
+    return {"vrm_bones": json.dumps(table, separators=(",", ":"))}
 
 
 def rig_ball_joint(

@@ -12,7 +12,7 @@ Garments worn over the first have their index before the names, `1.vertices`. Wh
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +44,13 @@ def save_bound_outfit(
     names: Sequence[str],
     joint_names: Sequence[str],
     orders: Sequence[Any] = (),
+    texts: Mapping[str, str] | None = None,
 ) -> None:
     """Write garments bound to one body, from the skin outwards, to `path`, replacing what is there in one step.
 
-    names: of the garments. joint_names: (d,) in the order of the joint positions. orders: `LayerOrder`s, what
-    keeps two of the garments in order. Raises ValueError when there is not one name a garment and a degree of freedom.
+    names: of the garments. joint_names: (d,) in the order of the joint positions. orders: `LayerOrder`s, what keeps two
+    of the garments in order. texts: entries of metadata for hosts other than C. Raises ValueError when there is not one
+    name a garment and a degree of freedom.
     """
     if len(names) != len(bounds):
         raise ValueError(f"{len(names)} names for {len(bounds)} garments")
@@ -69,6 +71,7 @@ def save_bound_outfit(
         "schema_version": BOUND_SCHEMA_VERSION,
         "garments": json.dumps(list(names)),
         "joint_names": json.dumps(list(joint_names)),
+        **(texts or {}),
     }
     write_tensors(Path(path), metadata, tensors)
 

@@ -13,6 +13,9 @@ from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, stron
 
 __all__ = ["skinned_document"]
 
+NAME, LICENCE = "PhySkin", "https://vrm.dev/licenses/1.0/"
+"""What a VRM says of itself: readers refuse one that does not."""
+
 
 def skinned_document(
     vertices: np.ndarray,
@@ -79,10 +82,11 @@ def skinned_document(
 def _add_vrm(document: dict, bones: Mapping[str, int], version: str) -> None:
     if version == "1.0":
         humanoid = {"humanBones": {bone: {"node": node} for bone, node in bones.items()}}
-        document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": humanoid}}
+        meta = {"name": NAME, "version": "1", "authors": [NAME], "licenseUrl": LICENCE}
+        document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "meta": meta, "humanoid": humanoid}}
     elif version == "0.x":
         humanoid = {"humanBones": [{"bone": bone, "node": node} for bone, node in bones.items()]}
-        document["extensions"] = {"VRM": {"specVersion": "0.0", "humanoid": humanoid}}
+        document["extensions"] = {"VRM": {"specVersion": "0.0", "meta": {"title": NAME}, "humanoid": humanoid}}
     else:
         raise ValueError(f"VRM version {version!r}, allowed are '1.0' and '0.x'")
     document["extensionsUsed"] = list(document["extensions"])

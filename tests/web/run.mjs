@@ -1,0 +1,52 @@
+// What the module in JavaScript makes of a case: node run.mjs PACKAGE CASE, both answers and errors as JSON.
+//   CASE: { file, frames: [[joints, frame], ...], poses: [{ bone: [x, y, z, w], ... }, ...], vrm }
+import { readFileSync } from "node:fs";
+import { pathToFileURL } from "node:url";
+
+const [folder, path] = process.argv.slice(2);
+const at = (name) => pathToFileURL(`${folder}/${name}`).href;
+const { loadOutfit, PhyskinError } = await import(at("physkin.js"));
+const { VrmPose } = await import(at("vrm.js"));
+const given = JSON.parse(readFileSync(path), (_, value) => (value === "NaN" ? NaN : value));
+
+const told = (work) => {
+  try {
+    return work();
+  } catch (error) {
+    return { ours: error instanceof PhyskinError, message: error.message };
+  }
+};
+
+async function answer() {
+  const outfit = await loadOutfit(readFileSync(given.file), { wasm: readFileSync(`${folder}/physkin.wasm`) });
+  const arrays = outfit.garments.map(({ positions }) => positions);
+  const frames = (given.frames ?? []).map(([joints, frame]) =>
+    told(() => {
+      outfit.step(joints, frame);
+      return {
+        clouds: outfit.garments.map(({ positions, normals }) => [base64(positions), base64(normals)]),
+        bones: Object.fromEntries(outfit.boneRotations(joints)),
+      };
+    }),
+  );
+  const poses = (given.poses ?? []).map((pose) =>
+    told(() => {
+      const getNormalizedBoneNode = (bone) => {
+        const [x, y, z, w] = pose[bone] ?? [];
+        return bone in pose ? { quaternion: { x, y, z, w } } : null;
+      };
+      const vrm = { meta: { metaVersion: given.vrm }, humanoid: { getNormalizedBoneNode } };
+      return Array.from(new VrmPose(outfit).of(vrm));
+    }),
+  );
+  return {
+    joints: outfit.joints,
+    garments: outfit.garments.map(({ name, faces }) => ({ name, faces: Array.from(faces) })),
+    kept: outfit.garments.every(({ positions }, k) => positions === arrays[k] && positions.length > 0),
+    frames,
+    poses,
+  };
+}
+
+const base64 = ({ buffer }) => Buffer.from(buffer).toString("base64");
+console.log(JSON.stringify(await answer().catch((error) => told(() => { throw error; }))));
