@@ -18,6 +18,7 @@ from physkin_core.mesh.mesh_file import MeshFile, write_obj
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
+from physkin_training.fit_garment.thickness import check_layers
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
@@ -104,6 +105,7 @@ def check_mesh(
         checks,
         [
             mesh_checks.check_duplicates,
+            partial(check_layers, surface=surface),
             mesh_checks.check_manifold,
             mesh_checks.check_pieces,
             partial(wear_checks.check_winding, surface=surface),
@@ -111,7 +113,6 @@ def check_mesh(
             partial(wear_checks.check_upright, surface=surface),
             partial(wear_checks.check_scale, surface=surface),
             mesh_checks.check_edges,
-            mesh_checks.check_layers,
         ],
     )
     lying = checks.vertices

@@ -11,12 +11,11 @@ import trimesh
 from physkin_core.model.garment import vertex_normals
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
-from physkin_training.physics.surface_queries import layers_near, piercing_edges
+from physkin_training.physics.surface_queries import piercing_edges
 
 __all__ = [
     "check_duplicates",
     "check_edges",
-    "check_layers",
     "check_manifold",
     "check_openings",
     "check_pieces",
@@ -42,9 +41,6 @@ ONE_WAY = 0.8
 """Length of the mean normal around a loop: from 0 (around a limb) to 1; a wide neckline has 0.7."""
 MOST_MISSING = 0.03
 """Share of the area that holes may have."""
-LAYER_REACH = 0.006
-"""[m] nearest other layer of cloth; how many percent of the faces may have one."""
-LAYERED, DOUBLED = 0.02, 0.3
 
 
 def check_triangles(checks: Checks, polygons: int) -> None:
@@ -159,16 +155,6 @@ def check_edges(checks: Checks) -> None:
     if mean < low or count > MOST_VERTICES:
         return checks.say("edge length", "warning", f"{found}: finer than training needs, and slower", allowed)
     return checks.say("edge length", "ok", found, allowed)
-
-
-def check_layers(checks: Checks) -> None:
-    """Cloth modelled with a thickness."""
-    allowed = f"one layer: up to {100 * LAYERED:g} % of the faces within {1000 * LAYER_REACH:g} mm of another layer"
-    share = float(layers_near(checks.vertices, checks.faces, LAYER_REACH).mean())
-    found = f"{100 * share:.1f} % of the faces have another layer near"
-    if share > DOUBLED:
-        return checks.say("one layer", "refused", f"{found}: export the outer surface only, without thickness", allowed)
-    return checks.say("one layer", "warning" if share > LAYERED else "ok", found, allowed)
 
 
 def check_self_intersection(checks: Checks) -> None:

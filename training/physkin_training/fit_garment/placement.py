@@ -23,7 +23,7 @@ __all__ = [
     "find_placement",
 ]  # fmt: skip
 
-UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
+UNITS = {"metres": 1.0, "decimetres": 0.1, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 EXTENT_RANGE = (0.3, 2.5)
 """[m] a garment's longest extent."""
 FAR = 0.15

@@ -103,8 +103,8 @@ def piercing_kernel(
 
 
 @wp.kernel
-def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, doubled: wp.array(dtype=wp.bool)):
-    """Whether a ray from a face's centre, outwards or inwards, meets a nearly parallel face within `reach`."""
+def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, sides: wp.array2d(dtype=wp.bool)):
+    """Whether a ray from a face's centre, outwards and inwards, meets a nearly parallel face within `reach`."""
     i = wp.tid()
     centre = wp.mesh_eval_position(mesh_id, i, 1.0 / 3.0, 1.0 / 3.0)
     normal = wp.mesh_eval_face_normal(mesh_id, i)
@@ -112,7 +112,7 @@ def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, doub
         way = normal * (1.0 - 2.0 * float(side))
         hit = wp.mesh_query_ray(mesh_id, centre + way * start, way, reach - start)
         if hit.result and wp.abs(wp.dot(hit.normal, normal)) > 0.7:
-            doubled[i] = True
+            sides[i, side] = True
 
 
 @wp.kernel
@@ -204,12 +204,13 @@ def piercing_edges(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -
 
 
 def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
-    """Which faces have another, nearly parallel one over or under them within `reach` [m], (f,) bool."""
+    """Which faces have another, nearly parallel one over them within `reach` [m], where their normals point, and which
+    under them, (f, 2) bool."""
     wp.init()
     mesh = _mesh(vertices, faces)
-    doubled = wp.zeros(len(faces), wp.bool, device="cpu")
-    wp.launch(layers_kernel, len(faces), [mesh.id, reach, 1e-5], [doubled], device="cpu")
-    return doubled.numpy().copy()
+    sides = wp.zeros((len(faces), 2), wp.bool, device="cpu")
+    wp.launch(layers_kernel, len(faces), [mesh.id, reach, 1e-5], [sides], device="cpu")
+    return sides.numpy().copy()
 
 
 def is_under(
