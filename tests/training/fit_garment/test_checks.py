@@ -229,7 +229,7 @@ WARNED = [
     (crossing, "self-intersection", "edges go through a face"),
     (too_large, "scale", "times its size it would lie closer"),
     (pinched_skirt, "pieces", "2 connected pieces"),
-    (doubled, "pieces", "15 connected pieces, 13 scraps dropped"),
+    (doubled, "pieces", "scraps dropped; separate pieces"),
     (pinched_skirt, "manifold", "1 vertices that pinch"),
 ]
 REFUSED = [
