@@ -52,7 +52,7 @@ def random_bound_garment(
             "detail_nodes": detail.nodes,
             "detail_weights": detail.weights,
         }
-    return BoundGarment(
+    bound = BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
         dof_bone=rng.integers(0, bones, size=dofs).astype(np.int32),
@@ -70,9 +70,12 @@ def random_bound_garment(
         normals=unit_rows(rng, vertices).astype(np.float32),
         influence_nodes=rng.integers(0, nodes, size=(vertices, influences)).astype(np.int32),
         influence_weights=weights.astype(np.float32),
-        node_twist=np.maximum(rng.uniform(-0.5, 1, size=nodes), 0).astype(np.float32),
         **parts,
     )
+    # Those of one bone in part, as by a thigh, which holds twist back when raised; of others in full or not at all.
+    share = rng.uniform(-0.5, 1, size=nodes)
+    twist = np.where(bound.node_bone == 0, np.maximum(share, 0), share > 0)
+    return replace(bound, node_twist=twist.astype(np.float32))
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,9 @@
 namespace physkin {
 namespace {
 
+// A thigh this upright (cosine) holds all twist back, as cloth lies on it, and one as upright as the second none.
+constexpr float kLiesOn = 0.6f, kHangs = 0.9f;
+
 // 12 numbers: the difference of the linear part from identity, row-major, then the translation.
 Affine decode_affine(const float* c) {
   return {{{load_vector(c) + kIdentity3.rows[0], load_vector(c + 3) + kIdentity3.rows[1],
@@ -46,9 +49,14 @@ Affine GarmentNodes::added(int node, const float* bone_transforms, const float* 
 
 void GarmentNodes::twist(const float* bone_transforms, float twist, float* transforms) const {
   if (twist == 0 || !(shares_total_ > 0)) return;
-  float upright = 0;
-  for (int i = 0; i < count_; ++i) upright += shares_[i] * bone_transforms[12 * bone_[i] + 10];
-  twist *= std::max(upright / shares_total_, 0.0f);
+  float upright = 0, least = 1;
+  for (int i = 0; i < count_; ++i) {
+    const float own = bone_transforms[12 * bone_[i] + 10];
+    upright += shares_[i] * own;
+    if (shares_[i] > 0 && shares_[i] < 1) least = std::min(least, own);  // by the thighs: below, cloth twists in full
+  }
+  const float hangs = std::clamp((least - kLiesOn) / (kHangs - kLiesOn), 0.0f, 1.0f);
+  twist *= std::max(upright / shares_total_, 0.0f) * hangs * hangs * (3 - 2 * hangs);
   for (int i = 0; i < count_; ++i, transforms += 12) {
     if (shares_[i] == 0) continue;
     const float angle = shares_[i] * twist, cosine = std::cos(angle), sine = std::sin(angle);

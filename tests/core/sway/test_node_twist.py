@@ -96,3 +96,14 @@ def test_on_raised_legs_cloth_lies_and_twists_the_less():
     assert full[1, :2, 3] == pytest.approx([0.2 * np.cos(0.25), 0.2 * np.sin(0.25)])
     assert full[0, 2, 3] > full[1, 2, 3] > -0.4
     assert twisted(nodes, sitting, shares, bone, 0.5) == pytest.approx(nodes)
+
+
+def test_one_raised_thigh_holds_the_cloth():
+    """It would be turned through the thigh; a shin that swings back does not hold it."""
+    nodes = np.concatenate([np.eye(3), [[0.2], [0], [-0.4]]], axis=1)[None].repeat(3, axis=0)
+    shares, bone = np.array([0.5, 0.5, 1.0]), np.array([0, 1, 2])  # by either thigh, by a shin
+    horizontal = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]
+    for raised, holds in ((0, True), (1, True), (2, False)):
+        bones = np.tile(np.eye(3, 4), (3, 1, 1))
+        bones[raised, :3, :3] = horizontal
+        assert np.allclose(twisted(nodes, bones, shares, bone, 0.5), nodes) == holds
