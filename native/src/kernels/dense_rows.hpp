@@ -7,6 +7,8 @@
 
 #if defined(__SSE2__)
 #include <immintrin.h>
+#elif defined(__wasm_simd128__)
+#include <wasm_simd128.h>
 #endif
 
 namespace physkin::PHYSKIN_ISA {
@@ -68,6 +70,9 @@ inline WidePairs widen_pairs(const unsigned char* weights) {
   const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(weights));
   return _mm_srai_epi16(_mm_unpacklo_epi8(bytes, bytes), 8);
 }
+#elif defined(__wasm_simd128__)
+typedef v128_t WidePairs;
+inline WidePairs widen_pairs(const unsigned char* weights) { return wasm_i16x8_load8x8(weights); }
 #else
 typedef Ints WidePairs;
 inline WidePairs widen_pairs(const unsigned char* weights) {
@@ -84,6 +89,8 @@ inline Ints add_pair_products(Ints sum, WidePairs weights, Ints pair) {
   return wrapping_sum(sum, (Ints)_mm256_madd_epi16(weights, (__m256i)pair));
 #elif defined(__SSE2__)
   return wrapping_sum(sum, (Ints)_mm_madd_epi16(weights, (__m128i)pair));
+#elif defined(__wasm_simd128__)
+  return wrapping_sum(sum, (Ints)wasm_i32x4_dot_i16x8(weights, (v128_t)pair));
 #else
   const Ints low = ((weights << 24) >> 24) * ((pair << 16) >> 16), high = (weights >> 8) * (pair >> 16);
   return wrapping_sum(sum, wrapping_sum(low, high));
