@@ -11,7 +11,7 @@ PIP_TELLING := $(VENV)/bin/pip install --no-compile --constraint constraints.txt
 PIP := $(PIP_TELLING) --quiet
 PYTEST := $(VENV)/bin/pytest
 # Installed editable: Python changes are live, and a Python started in this folder finds the native module too.
-BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*')
+BUILT_FROM := pyproject.toml constraints.txt $(shell find native -type f -not -path '*/__pycache__/*' -not -path 'native/web/*')
 # Modules that physkin_core gathers its public names from: their types are checked.
 PUBLIC := $(shell sed -n 's/^from \(physkin_core[^ ]*\) import.*/-m \1/p' physkin_core/__init__.py)
 CPP := $(shell find native tests/native -name '*.[ch]pp' -o -name '*.h')
@@ -44,9 +44,10 @@ test-slow: $(VENV)/installed-test
 bench: $(VENV)/installed-bench
 	PYTHONPATH=native $(VENV)/bin/python -m physkin_bench
 
-# A site, in build/site, with docs/architecture.svg drawn anew.
+# A site, in build/site, with docs/architecture.svg drawn anew; after `make wasm` with a figure whose clothes are live.
 docs: $(VENV)/installed-docs
 	$(VENV)/bin/python docs/draw_architecture.py
+	if [ -e $(WEB)/made ]; then $(VENV)/bin/physkin export walk -g trousers:denim -g tshirt --web build/walk; fi
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
 # The pictures and plots of docs/, made anew: some minutes.
@@ -55,7 +56,7 @@ gallery: $(VENV)/installed-test
 
 # With what a page needs in build/web/page, which `physkin export --web` copies: it is put beside the installed module, and
 # into wheels that are built afterwards.
-wasm: $(WEB)/made | $(VENV)/bin/python
+wasm: $(WEB)/made $(VENV)/installed-view
 	$(VENV)/bin/python native/web/install_page.py $(WEB)/page
 
 $(WEB)/made: $(WEB_FROM)

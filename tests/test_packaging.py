@@ -66,3 +66,5 @@ def test_wheel_holds_every_file(tmp_path):
     assert {name.split("/")[0] for name in code} == set(SHIPPED)
     assert any(name.startswith("physkin_core/_native.") for name in names)
     assert "physkin_core/libphyskin_c.so" in names
+    page = ROOT / "build" / "web" / "page"  # of `physkin export --web`, where `make wasm` has run
+    assert {f"physkin_core/web/{path.relative_to(page)}" for path in page.rglob("*") if path.is_file()} <= names

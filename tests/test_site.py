@@ -5,6 +5,7 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import live_page
 import pytest
 from source_links import on_page_markdown
 
@@ -27,6 +28,20 @@ def test_site_builds_without_a_warning(tmp_path):
     assert {path.stem for path in (ROOT / "docs").rglob("*.md")} - {"README"} <= pages
     home = (tmp_path / "index.html").read_text()
     assert not re.findall(r'(?:src|href)="https?://(?!squidfunk)[^"]*', home)
+
+
+def test_a_live_page_takes_the_place_of_its_picture(tmp_path, monkeypatch):
+    """Where there is one, and it is copied; else the picture stays."""
+    text = (ROOT / "docs" / "browser.md").read_text()
+    monkeypatch.setattr(live_page, "WALK", tmp_path / "walk")
+    config = SimpleNamespace(site_dir=tmp_path / "site")
+    assert live_page.on_page_markdown(text, None, config, None) == text
+    live_page.on_post_build(config)
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / "index.html").touch()
+    assert "../walk/index.html" in live_page.on_page_markdown(text, None, config, None)
+    live_page.on_post_build(config)
+    assert (tmp_path / "site" / "walk" / "index.html").exists()
 
 
 @pytest.mark.parametrize(
