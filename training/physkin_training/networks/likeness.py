@@ -22,7 +22,7 @@ NEAR = (
 )
 OTHER_OPENINGS = 0.02
 """[m] of distance that one opening more or less counts as: a skirt is not a pair of trousers."""
-NOT_COVERED = 0.3
+NOT_COVERED = 0.1
 """What the other garment's distance from the new one counts, against the new one's from it: cloth too much is left
 out."""
 
