@@ -101,4 +101,4 @@ def test_a_simulated_skirt_hangs_still_while_nothing_moves(tmp_path):
     assert main(["skirt", "--dynamic", "--device", "cpu", *scene, "-o", str(tmp_path)]) == 0
     reference = load_reference(tmp_path / "skirt_stop.npz")
     assert reference.points.shape[1] > 5
-    assert np.abs(reference.points[0, 5] - reference.points[0, 0]).max() < 0.01
+    assert np.abs(reference.points[0, 5] - reference.points[0, 0]).max() < 1e-3

@@ -29,6 +29,9 @@ TOLERANCE = 1e-3
 """Residual force of a step over the garment's weight."""
 FIRST_TOLERANCE, FIRST_ITERATIONS = 5e-3, 80
 """Of the drape at rest that a scene begins with."""
+SETTLING_STEP, SETTLING_STEPS, SETTLING_ITERATIONS, SETTLED = 0.05, 100, 6, 2e-4
+"""Cloth whose minimum is not reached then comes to rest in at most so many steps of so many seconds, each from standing
+still, until no vertex moves farther [m]: else it would swing by itself when the scene begins."""
 UNSETTLED = 0.02
 """Residual force of a step over the weight from which on the next one does not begin with the same acceleration."""
 LARGEST_EXTENT = 3.0
@@ -159,7 +162,7 @@ class DynamicSimulation:
         return self.frame_count
 
     def at_rest(self) -> Solution:
-        """Drapes at rest in the first frame, from the model's. Inertia is off: nothing has moved for a long time."""
+        """Drapes at rest in the first frame, from the model's: minimised, and then settled."""
         gravity = self._pose(0)
         local = self._model_drape(0)
         time_step = self.potential.time_step
@@ -168,6 +171,19 @@ class DynamicSimulation:
         solution = self._solver.minimise(
             local, gravity, *self.dressed.contact, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
         )
+        time_step.seconds = SETTLING_STEP
+        for _ in range(SETTLING_STEPS):
+            before = solution.vertices
+            self.potential.begin(before, before)
+            solution = self._step_solver.minimise(
+                before,
+                *(gravity, *self.dressed.contact),
+                tolerance=TOLERANCE * self.force_scale,
+                iterations=SETTLING_ITERATIONS,
+                products=96,
+            )
+            if (solution.vertices - before).abs().max() < SETTLED:
+                break
         time_step.seconds = step
         return solution
 
