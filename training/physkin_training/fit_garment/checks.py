@@ -18,7 +18,6 @@ from physkin_core.mesh.mesh_file import MeshFile, write_obj
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
-from physkin_training.fit_garment.thickness import check_layers
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
@@ -105,7 +104,7 @@ def check_mesh(
         checks,
         [
             mesh_checks.check_duplicates,
-            partial(check_layers, surface=surface),
+            partial(mesh_checks.check_layers, surface=surface),
             mesh_checks.check_manifold,
             mesh_checks.check_pieces,
             partial(wear_checks.check_winding, surface=surface),

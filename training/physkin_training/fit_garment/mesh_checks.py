@@ -11,11 +11,12 @@ import trimesh
 from physkin_core.model.garment import vertex_normals
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
-from physkin_training.physics.surface_queries import piercing_edges
+from physkin_training.physics.surface_queries import BodySurface, layers_near, piercing_edges
 
 __all__ = [
     "check_duplicates",
     "check_edges",
+    "check_layers",
     "check_manifold",
     "check_openings",
     "check_pieces",
@@ -41,6 +42,10 @@ ONE_WAY = 0.8
 """Length of the mean normal around a loop: from 0 (around a limb) to 1; a wide neckline has 0.7."""
 MOST_MISSING = 0.03
 """Share of the area that holes may have."""
+LAYER_REACH = 0.006
+"""[m] nearest other layer of cloth."""
+LAYERED, DOUBLED = 0.02, 0.3
+"""Share of the faces that may have one, and from which on the cloth has a thickness."""
 
 
 def check_triangles(checks: Checks, polygons: int) -> None:
@@ -155,6 +160,29 @@ def check_edges(checks: Checks) -> None:
     if mean < low or count > MOST_VERTICES:
         return checks.say("edge length", "warning", f"{found}: finer than training needs, and slower", allowed)
     return checks.say("edge length", "ok", found, allowed)
+
+
+def check_layers(checks: Checks, surface: BodySurface) -> None:
+    """Leave out the inner sheet of cloth with a thickness, and the rims between the two."""
+    allowed = (
+        f"one layer: up to {100 * LAYERED:g} % of the faces within {1000 * LAYER_REACH:g} mm of another layer; of "
+        "cloth with a thickness the outer sheet"
+    )
+    vertices, faces, found = checks.vertices, checks.faces, ""
+    near = layers_near(vertices, faces, LAYER_REACH)
+    share = near.any(axis=1).mean()
+    thick = share > DOUBLED
+    if thick:
+        outside = surface.closest(vertices[faces].mean(axis=1)).outward
+        away = (checks.mesh.face_normals * outside).sum(axis=1) > 0
+        inner = np.where(away, near[:, 0], near[:, 1])
+        beside = np.isin(faces, faces[inner]).any(axis=1) & ~near.any(axis=1)
+        checks.vertices, checks.faces = mesh_repair.compacted(vertices, faces[~inner & ~beside])
+        found = f"a thickness: {len(faces) - len(checks.faces)} of {len(faces)} faces inside and at rims left out, "
+        share = layers_near(checks.vertices, checks.faces, LAYER_REACH).any(axis=1).mean()
+    found += f"{100 * share:.1f} % of the faces have another layer near"
+    outcome = "warning" if share > LAYERED else "repaired" if thick else "ok"
+    return checks.say("one layer", outcome, found, allowed)
 
 
 def check_self_intersection(checks: Checks) -> None:
