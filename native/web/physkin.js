@@ -260,7 +260,10 @@ async function moduleOf(wasm) {
   if (wasm instanceof WebAssembly.Module) return wasm;
   const address = wasm instanceof URL || typeof wasm === "string" ? String(wasm) : null;
   if (address === null) return WebAssembly.compile(await bytesOf(wasm));
-  if (compiled?.address !== address) compiled = { address, module: bytesOf(wasm).then(WebAssembly.compile) };
+  if (compiled?.address !== address) {
+    compiled = { address, module: bytesOf(wasm).then(WebAssembly.compile) };
+    compiled.module.catch(() => (compiled = null)); // the next outfit tries again
+  }
   return compiled.module;
 }
 

@@ -31,7 +31,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def outfit():
-    """A T-shirt over a skirt, which sways by a network, on the bundled avatar."""
+    """A T-shirt over a skirt on the bundled avatar."""
     models = [load_garment_model(name) for name in ("skirt", "tshirt")]
     return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
 
@@ -170,6 +170,24 @@ def test_garments_of_another_rig_know_no_vrm(tmp_path):
         Draper(model, random_avatar(rng, model.rig)).save_bound(tmp_path / "other")
     (told,) = run(tmp_path, tmp_path / "other", poses=[{}], vrm="1")["poses"]
     assert told["ours"] and told["message"].startswith("the file knows no bones of VRM")
+
+
+def test_a_module_that_could_not_be_loaded_is_asked_for_again(bound):
+    script = """
+        import { readFileSync } from "node:fs";
+        const [folder, file] = process.argv.slice(-2);
+        const { loadOutfit } = await import(`file://${folder}/physkin.js`);
+        const answers = [new Response(null, { status: 503 }), new Response(readFileSync(`${folder}/physkin.wasm`))];
+        globalThis.fetch = async () => answers.shift();
+        const load = () => loadOutfit(readFileSync(file), { wasm: "https://example.org/physkin.wasm" });
+        const told = [];
+        for (const _ of [1, 2, 3]) told.push(await load().then((o) => o.garments.length, (e) => e.message));
+        console.log(JSON.stringify(told));
+    """
+    command = [NODE, "--input-type=module", "-e", script, "--", PACKAGE, bound]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    refused, *loaded = json.loads(done.stdout)
+    assert "503" in refused and loaded == [2, 2]
 
 
 def test_the_npm_package():
