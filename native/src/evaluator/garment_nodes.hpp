@@ -22,7 +22,8 @@ class GarmentNodes {
   Affine added(int node, const float* bone_transforms, const float* corrections, const float* others) const;
 
   // Turns them by their shares of `twist` [rad] about the root's vertical, and lifts them, as far as the legs that they
-  // follow are upright, and not at all where a thigh is raised: cloth would be turned through it. Does nothing to cloth that does not twist.
+  // follow are upright, and not at all where a thigh is raised: cloth would be turned through it. Does nothing to cloth
+  // that does not twist.
   void twist(const float* bone_transforms, float twist, float* transforms) const;
 
   int bone(int node) const { return bone_[node]; }

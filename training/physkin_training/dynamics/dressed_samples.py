@@ -5,8 +5,6 @@ Dimensions: `B` samples, `S` bodies, `d` degrees of freedom, `m` garment nodes, 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 
@@ -96,7 +94,4 @@ class DressedSamples:
     def skinned(self, nodes: torch.Tensor, offsets: torch.Tensor | None = None) -> torch.Tensor:
         """Vertices (B, n, 3) of the samples' rest shapes, moved by offsets (B, n, 3) where there are any and carried by
         garment nodes (B, m, 3, 4)."""
-        rest = self.worn.rest
-        if offsets is not None:
-            rest = replace(rest, vertices=rest.vertices + offsets)
-        return self.drape.skin(nodes, rest)
+        return self.drape.skin(nodes, self.worn.rest.moved(offsets))

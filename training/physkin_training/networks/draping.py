@@ -30,6 +30,17 @@ class RestShape:
     vertices: torch.Tensor
     nodes: torch.Tensor
 
+    def moved(self, offsets: torch.Tensor | None) -> RestShape:
+        """With its vertices moved by offsets (B, n, 3) [m], None for none."""
+        return self if offsets is None else replace(self, vertices=self.vertices + offsets)
+
+    def carried(self, weights: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Vertices (B, n, 3) by skinning weights (n, m) and garment node transforms (B, m, 3, 4)."""
+        shift = nodes[..., 3:] - nodes[..., :3] @ self.nodes[..., None]
+        handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(nodes.shape[1], -1)
+        blended = (weights @ handles).view(len(weights), -1, 3, 4).transpose(0, 1)
+        return ((blended[..., :3] * self.vertices[:, :, None]).sum(dim=-1) + blended[..., 3]).contiguous()
+
 
 class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
@@ -155,12 +166,9 @@ class Drape(nn.Module):
             rest = rest or RestShape(
                 self.vertices.expand(len(nodes), -1, -1), self.node_rest.expand(len(nodes), -1, -1)
             )
-            rest = replace(rest, vertices=rest.vertices + self.vertex_offsets(detail))
+            rest = rest.moved(self.vertex_offsets(detail))
         if rest is not None:
-            shift = nodes[..., 3:] - nodes[..., :3] @ rest.nodes[..., None]
-            handles = torch.cat([nodes[..., :3], shift], dim=-1).permute(1, 0, 2, 3).reshape(m, -1)
-            blended = (dense @ handles).view(n, -1, 3, 4).transpose(0, 1)
-            return ((blended[..., :3] * rest.vertices[:, :, None]).sum(dim=-1) + blended[..., 3]).contiguous()
+            return rest.carried(dense, nodes)
         offset = self.vertices[:, None] - self.node_rest
         basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
         handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)

@@ -140,7 +140,8 @@ class _Cloth:
         gravity = -turn[:, 2].contiguous()
         posed = dressed.pose(positions)
         turns = posed[..., :3]
-        drape, self._skinning.offsets = dressed.draped(positions, gravity, posed)
+        drape, folds = dressed.draped(positions, gravity, posed)
+        self._skinning.fold(folds)
         vertices = self._skinning.vertices(drape + turns @ offsets.unflatten(1, (-1, 3, 4)))
         self._potential.begin(vertices, vertices)  # inertia and drag are those that were simulated
         _, gradient = self._potential.evaluate(vertices, gravity, *dressed.contact)

@@ -156,7 +156,8 @@ class WalkerSimulation:
     def _stance(self, positions: torch.Tensor, turn: torch.Tensor, place: torch.Tensor) -> _Stance:
         gravity = -turn[:, 2].contiguous()
         posed = self.dressed.pose(positions)
-        drape, self.skinning.offsets = self.dressed.draped(positions, gravity, posed)
+        drape, offsets = self.dressed.draped(positions, gravity, posed)
+        self.skinning.fold(offsets)
         return _Stance(posed[..., :3].contiguous(), drape, gravity, turn, place)
 
     def _at_rest(self, now: _Stance) -> torch.Tensor:
