@@ -36,7 +36,8 @@ NO_FEATURES = np.empty(0, dtype=np.float32)
 def supported_instruction_sets() -> list[str]:
     """Instruction sets this CPU can run, narrowest first.
 
-    "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI).
+    "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI); on ARM "baseline" (NEON),
+    "dotprod", "i8mm".
     """
     return native.supported_instruction_sets()
 

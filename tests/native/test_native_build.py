@@ -11,6 +11,7 @@ from native_library import NATIVE, SANITIZERS, build_library, build_program
 
 HERE = Path(__file__).parent
 FILE_FORMAT = [NATIVE / "src" / "file_format" / name for name in ("tensor_file.cpp", "sha256.cpp")]
+ARM_COMPILER, ARM_LEVELS = "aarch64-linux-gnu-g++", ("baseline", "dotprod", "i8mm")
 AARCH64 = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_SYSTEM_PROCESSOR=aarch64")
 
 
@@ -74,17 +75,36 @@ def test_builds_of_other_hosts(compiler, small_bound_file, tmp_path):
     assert loaded > 1500 and refused > 9000  # both ways were gone
 
 
+@pytest.fixture
+def qemu():
+    """Runs a program for ARM on a processor by its name."""
+    found = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
+    if shutil.which(ARM_COMPILER) is None or found is None:
+        pytest.skip("needs g++-aarch64-linux-gnu and qemu-user-static")
+    return lambda cpu, *command: run(*command, launcher=(found, "-L", "/usr/aarch64-linux-gnu", "-cpu", cpu))
+
+
+@pytest.mark.parametrize("level", ARM_LEVELS)
+def test_layers_on_arm(level, qemu, tmp_path):
+    """Of 8-bit network weights bit for bit, on every level, what plain loops give."""
+    (flags,) = re.findall(rf"isa_{level}_flags (-march.*)\)", (NATIVE / "CMakeLists.txt").read_text()) or [""]
+    command = [ARM_COMPILER, "-std=c++17", "-O2", "-ffp-contract=fast", *flags.split(), f"-DPHYSKIN_ISA={level}"]
+    command += ["-Wall", "-Wextra", "-Werror", "-static", "-I", NATIVE / "src", HERE / "dense_kernel_test.cpp"]
+    subprocess.run([*command, NATIVE / "src/kernels/packed_layer.cpp", "-o", tmp_path / "layers"], check=True)
+    result = qemu("max", tmp_path / "layers")
+    assert (result.returncode, result.stdout) == (0, "540\n"), result.stdout
+
+
 @pytest.mark.slow
-def test_aarch64_under_qemu(small_bound_file, tmp_path):
-    """The frame test and damaged files on another architecture: its own width, its own arithmetic of int8."""
-    compiler, qemu = "aarch64-linux-gnu-g++", shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
-    if shutil.which(compiler) is None or qemu is None:
-        pytest.skip("needs g++-aarch64-linux-gnu and qemu-user")
-    library = build_library(tmp_path, compiler, options=AARCH64)
-    launcher = (qemu, "-L", "/usr/aarch64-linux-gnu")
-    frames = run(build_program(library, HERE / "frame_test.cpp", compiler), launcher=launcher)
-    assert frames.returncode == 0, frames.stderr
-    assert {line.split()[0] for line in frames.stdout.splitlines()} == {"baseline"}
-    assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
-    program = build_program(library, HERE / "bound_file_fuzz.cpp", compiler, inner=FILE_FORMAT)
-    assert run(program, small_bound_file, "3000", launcher=launcher).returncode == 0
+def test_frames_on_arm(qemu, small_bound_file, tmp_path):
+    """The frame test on processors with and without each level, and damaged files."""
+    library = build_library(tmp_path, ARM_COMPILER, options=AARCH64)
+    check_kernels_define_no_shared_inline_functions(library)
+    program = build_program(library, HERE / "frame_test.cpp", ARM_COMPILER)
+    for cpu, supported in (("cortex-a72", 1), ("neoverse-n1", 2), ("max", 3)):
+        frames = qemu(cpu, program)
+        assert frames.returncode == 0, frames.stderr
+        assert {line.split()[0] for line in frames.stdout.splitlines()} == set(ARM_LEVELS[:supported])
+        assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
+    program = build_program(library, HERE / "bound_file_fuzz.cpp", ARM_COMPILER, inner=FILE_FORMAT)
+    assert qemu("max", program, small_bound_file, "3000").returncode == 0

@@ -171,7 +171,7 @@ struct Int8Rows : QuantisedInputs {
     Ints high, low;
   };
   static constexpr int kRegistersASum = 2;
-  static constexpr Int8Layout kLayout = Int8Layout::quads;
+  static constexpr Int8Layout kLayout{4, 128};
   static constexpr int kInputs = 4;
   static constexpr int bytes(int outputs) { return kInputs * outputs; }
 
@@ -218,11 +218,11 @@ struct Int8Rows : QuantisedInputs {
 
 #else
 
-struct Int8Rows : QuantisedInputs {
-  typedef Ints Sum;
-  static constexpr int kRegistersASum = 1;
-  static constexpr Int8Layout kLayout = Int8Layout::pairs;
+// Rows of two inputs, in 16 bits.
+struct PairInputs : QuantisedInputs {
+  static constexpr Int8Layout kLayout{2, 0};
   static constexpr int kInputs = 2;
+  static constexpr int kSumsALoad = 1;
   static constexpr int bytes(int outputs) { return kInputs * outputs; }
 
   const std::int16_t* quantised;
@@ -236,13 +236,25 @@ struct Int8Rows : QuantisedInputs {
     quantised = call.quantised;
   }
 
+  std::int32_t pair(int row) const { return word_at(quantised + kInputs * row); }
+};
+
+#if !defined(__aarch64__)
+struct Int8Rows : PairInputs {
+  typedef Ints Sum;
+  static constexpr int kRegistersASum = 1;
+
   typedef WidePairs Weights;
-  static constexpr int kSumsALoad = 1;
   static Weights decode(const unsigned char* weights) { return widen_pairs(weights); }
-  Ints factor(int row) const { return Ints{} + word_at(quantised + kInputs * row); }
+  Ints factor(int row) const { return Ints{} + pair(row); }
   static void multiply_add(Weights weights, Ints both, Sum* sum, int) { *sum = add_pair_products(*sum, weights, both); }
 };
+#endif
 
 #endif
 
 }  // namespace physkin::PHYSKIN_ISA
+
+#if defined(__aarch64__)
+#include "kernels/int8_rows_arm.hpp"
+#endif

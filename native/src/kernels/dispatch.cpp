@@ -3,6 +3,10 @@
 #include <cstdlib>
 #include <stdexcept>
 
+#if defined(PHYSKIN_ARM_LEVELS) && defined(__linux__)
+#include <sys/auxv.h>
+#endif
+
 namespace physkin {
 
 namespace baseline {
@@ -16,6 +20,13 @@ namespace v4 {
 extern const Kernels kernels;
 }
 namespace v4_vnni {
+extern const Kernels kernels;
+}
+#elif defined(PHYSKIN_ARM_LEVELS)
+namespace dotprod {
+extern const Kernels kernels;
+}
+namespace i8mm {
 extern const Kernels kernels;
 }
 #endif
@@ -37,6 +48,16 @@ std::vector<Level> levels() {
   all.push_back({&v3::kernels, v3});
   all.push_back({&v4::kernels, v4});
   all.push_back({&v4_vnni::kernels, v4 && __builtin_cpu_supports("avx512vnni")});
+#elif defined(PHYSKIN_ARM_LEVELS)
+#if defined(__linux__)
+  const bool dotprod = getauxval(AT_HWCAP) & HWCAP_ASIMDDP, i8mm = getauxval(AT_HWCAP2) & HWCAP2_I8MM;
+#elif defined(__APPLE__)
+  const bool dotprod = true, i8mm = false;  // the oldest Apple M has the one and not the other
+#else
+  const bool dotprod = false, i8mm = false;
+#endif
+  all.push_back({&dotprod::kernels, dotprod});
+  all.push_back({&i8mm::kernels, dotprod && i8mm});
 #endif
   return all;
 }

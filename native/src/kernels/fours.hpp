@@ -18,6 +18,18 @@ inline Floats shuffle_fours(Floats a, Floats b) {
 #endif
 }
 
+// Of one register.
+template <int k0, int k1, int k2, int k3>
+inline Floats turned_fours(Floats v) {
+#if defined(__aarch64__)  // GCC 12 takes two registers for the one, and moves it there
+  constexpr uint32x4_t kBytes = {0x03020100 + 0x04040404u * k0, 0x03020100 + 0x04040404u * k1,
+                                 0x03020100 + 0x04040404u * k2, 0x03020100 + 0x04040404u * k3};
+  return (Floats)vqtbl1q_u8((uint8x16_t)v, (uint8x16_t)kBytes);
+#else
+  return shuffle_fours<k0, k1, k2, k3>(v, v);
+#endif
+}
+
 inline Floats zip_low(Floats a, Floats b) { return shuffle_fours<0, kLanes, 1, kLanes + 1>(a, b); }
 inline Floats zip_high(Floats a, Floats b) { return shuffle_fours<2, kLanes + 2, 3, kLanes + 3>(a, b); }
 inline Floats halves_low(Floats a, Floats b) { return shuffle_fours<0, 1, kLanes, kLanes + 1>(a, b); }

@@ -117,8 +117,8 @@ void lay_out(const DenseWeights& layer, int rows, int panel, const std::uint8_t*
 }
 
 void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, PackedLayer& packed) {
-  const bool quads = layout.int8 == Int8Layout::quads;
-  const int together = quads ? 4 : 2, offset = quads ? 128 : 0, rows = (layer.inputs + together - 1) / together;
+  const int together = layout.int8.inputs, offset = layout.int8.added;
+  const int rows = (layer.inputs + together - 1) / together;
   const std::size_t padded = padded_to_group(layer.outputs), in_output = std::size_t(together) * std::size_t(rows);
   auto* weights = arena.take<std::uint8_t>(padded * in_output);
   auto* scale = arena.take<float>(padded);
@@ -130,7 +130,9 @@ void pack_int8(const DenseWeights& layer, PackedLayout layout, Arena& arena, Pac
     scale[output] = made.scale;
     largest_sum = std::max(largest_sum, made.sum);
   }
-  (quads ? lay_out<4> : lay_out<2>)(layer, rows, layout.panel, rounded.data(), weights);
+  (together == 2   ? lay_out<2>
+   : together == 4 ? lay_out<4>
+                   : lay_out<8>)(layer, rows, layout.panel, rounded.data(), weights);
   packed.weights = as_bytes(weights);
   packed.output_scale = scale;
   packed.input_limit = float(std::min<std::int64_t>(kInt8InputLimit, 0x7fffffff / largest_sum));

@@ -27,7 +27,10 @@ constexpr int kGroup = 32;
 
 constexpr int padded_to_group(int count) { return (count + kGroup - 1) / kGroup * kGroup; }
 
-enum class Int8Layout { pairs, quads };
+// Inputs whose 8-bit network weights lie side by side, and what is added to each of these, so that unsigned bytes hold it.
+struct Int8Layout {
+  int inputs, added;
+};
 
 // What the kernels of an instruction set read.
 struct PackedLayout {
@@ -43,8 +46,8 @@ constexpr int kInt8InputLimit = 127 * 257;
 //   fp32: weights[panel][input][width] float.
 //   bf16: weights[panel][input][width / 2] 32-bit words, the low half output k, the high half output k + width / 2. The
 //         kernel takes the word itself for the latter, so the high half is chosen to make the whole word the nearest.
-//   int8: weights[panel][pair of inputs][width][2] signed, or weights[panel][four inputs][width][4] unsigned, 128 more
-//         than the network weight; to be multiplied by output_scale.
+//   int8: weights[panel][row of inputs][width][Int8Layout::inputs] bytes, more by Int8Layout::added than the network
+//         weight; to be multiplied by output_scale.
 struct PackedLayer {
   Precision precision = Precision::fp32;
   int inputs = 0, outputs = 0;

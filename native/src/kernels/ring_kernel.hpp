@@ -37,7 +37,7 @@ inline Floats places_at(const float* places, const std::int32_t* at) {
 }
 
 // In every four: 1, 2, 0, 3. A cross product is turned(a * turned(b) - turned(a) * b).
-inline Floats turned(Floats v) { return shuffle_fours<1, 2, 0, 3>(v, v); }
+inline Floats turned(Floats v) { return turned_fours<1, 2, 0, 3>(v); }
 
 // Twice the areas within the rings of kFours vertices, not turned yet. They are the sum of cross products of neighbours
 // that follow each other, or of every other one with the step between the two beside it; and from any point, such as the
@@ -76,11 +76,11 @@ inline void write_normals(const Floats* areas, const float* place, const std::in
   const Floats high = zip_high(square[0], square[1]), high_next = zip_high(square[2], square[3]);
   const Floats inverse =
       inverse_length(halves_low(low, low_next) + halves_high(low, low_next) + halves_low(high, high_next));
-  const Floats of_each[4] = {shuffle_fours<0, 0, 0, 0>(inverse, inverse), shuffle_fours<1, 1, 1, 1>(inverse, inverse),
-                             shuffle_fours<2, 2, 2, 2>(inverse, inverse), shuffle_fours<3, 3, 3, 3>(inverse, inverse)};
+  const Floats of_each[4] = {turned_fours<0, 0, 0, 0>(inverse), turned_fours<1, 1, 1, 1>(inverse),
+                             turned_fours<2, 2, 2, 2>(inverse), turned_fours<3, 3, 3, 3>(inverse)};
   for (int k = 0; k < 4; ++k, place += 4 * kFours, vertex += kFours) {
     const Floats unit = areas[k] * of_each[k];
-    const Floats yz_and_x = shuffle_fours<2, 0, 3, 1>(unit, unit);  // turned, and x where a place has nothing
+    const Floats yz_and_x = turned_fours<2, 0, 3, 1>(unit);  // turned, and x where a place has nothing
     write_row<0>(yz_and_x, place, vertex, rows, row_bytes);
 #if defined(__AVX2__)
     write_row<1>(yz_and_x, place, vertex, rows, row_bytes);

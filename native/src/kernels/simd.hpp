@@ -7,6 +7,10 @@
 
 #include <cstdint>
 
+#if defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
 namespace physkin::PHYSKIN_ISA {
 
 #if defined(__AVX512F__)
@@ -27,6 +31,16 @@ inline Ints load_ints(const void* p) { return (Ints)*reinterpret_cast<const Stor
 inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p); }
 inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
 inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }
+
+// kLanes 16-bit integers as floats.
+inline Floats widened(const std::int16_t* integers) {
+#if defined(__aarch64__)  // GCC 12 converts them one by one
+  return (Floats)vcvtq_f32_s32(vmovl_s16(vld1_s16(integers)));
+#else
+  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints), Floats);
+#endif
+}
 
 // The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.
 inline Floats at_least(Floats v, float limit) { return v < limit ? Floats{} + limit : v; }

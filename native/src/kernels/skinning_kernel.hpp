@@ -12,44 +12,96 @@ struct SkinnedLanes {
   Floats column[6];
 };
 
-inline Floats widened(const std::int16_t* integers) {
-  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
-  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints), Floats);
+// Registers of vertices whose matrices are summed at once, as many as there are registers for.
+#if defined(__aarch64__)
+constexpr int kTogether = 2;
+#else
+constexpr int kTogether = 1;
+#endif
+constexpr int kLanesTogether = kTogether * kLanes;
+
+// A sum of matrices for each of kTogether registers of vertices.
+struct BlendedLanes {
+  Floats of[kTogether][12];
+};
+
+inline void add_weighted(BlendedLanes* blend, const float* weights, const float* matrix) {
+#if defined(__aarch64__)  // twelve numbers in three registers: GCC 12 gives each its own
+  const float32x4_t row[3] = {vld1q_f32(matrix), vld1q_f32(matrix + 4), vld1q_f32(matrix + 8)};
+#pragma GCC unroll 4
+  for (int v = 0; v < kTogether; ++v) {
+    const float32x4_t weight = vld1q_f32(weights + v * kLanes);
+#pragma GCC unroll 4
+    for (int r = 0; r < 3; ++r) {
+      Floats* sum = blend->of[v] + 4 * r;
+      sum[0] = (Floats)vfmaq_laneq_f32((float32x4_t)sum[0], weight, row[r], 0);
+      sum[1] = (Floats)vfmaq_laneq_f32((float32x4_t)sum[1], weight, row[r], 1);
+      sum[2] = (Floats)vfmaq_laneq_f32((float32x4_t)sum[2], weight, row[r], 2);
+      sum[3] = (Floats)vfmaq_laneq_f32((float32x4_t)sum[3], weight, row[r], 3);
+    }
+  }
+#else
+  const Floats weight = load(weights);
+  for (int e = 0; e < 12; ++e) blend->of[0][e] += weight * matrix[e];
+#endif
 }
 
-// Sums the matrices of a block's garment nodes, then applies the sum once.
-template <bool kNormals, bool kDetail>
-inline SkinnedLanes skin_lanes(const SkinningBlocks& blocks, const float* matrices, const float* offsets, int block,
-                               int lane) {
+// Of a block's garment nodes, for kLanesTogether of its vertices from `lane` on.
+inline BlendedLanes blend_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
   const std::int32_t start = blocks.influence_start[block];
   const std::int32_t* at = blocks.influence_matrix + start;
   const int node_count = blocks.influence_start[block + 1] - start;
   const float* weights = blocks.influence_weight + std::ptrdiff_t(start) * kBlock + lane;
-  Floats blend[12];
-  for (int e = 0; e < 12; ++e) blend[e] = load(weights) * matrices[at[0] + e];
-  for (int k = 1; k < node_count; ++k) {
-    const float* matrix = matrices + at[k];
-    const Floats weight = load(weights + k * kBlock);
-    for (int e = 0; e < 12; ++e) blend[e] += weight * matrix[e];
+  BlendedLanes blend;
+#pragma GCC unroll 4
+  for (int v = 0; v < kTogether; ++v) {
+    for (int e = 0; e < 12; ++e) blend.of[v][e] = load(weights + v * kLanes) * matrices[at[0] + e];
   }
-  const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane;
-  Floats x = load(rest), y = load(rest + kBlock), z = load(rest + 2 * kBlock);
+  for (int k = 1; k < node_count; ++k) add_weighted(&blend, weights + k * kBlock, matrices + at[k]);
+  return blend;
+}
+
+// Where they are at rest, moved by the offsets of the block's detail nodes.
+struct RestLanes {
+  Floats of[kTogether][3];
+};
+
+template <bool kDetail>
+inline RestLanes rest_lanes(const SkinningBlocks& blocks, const float* offsets, int block, int lane) {
+  RestLanes sum = {};
   if (kDetail) {
-    Floats offset_x = {}, offset_y = {}, offset_z = {};
     for (std::int32_t k = blocks.detail_start[block]; k < blocks.detail_start[block + 1]; ++k) {
       const float* offset = offsets + blocks.detail_offset[k];
-      const Floats weight = widened(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane);
-      offset_x += weight * offset[0], offset_y += weight * offset[1], offset_z += weight * offset[2];
+#pragma GCC unroll 4
+      for (int v = 0; v < kTogether; ++v) {
+        const Floats weight = widened(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane + v * kLanes);
+        for (int c = 0; c < 3; ++c) sum.of[v][c] += weight * offset[c];
+      }
     }
-    x += offset_x * blocks.detail_unit, y += offset_y * blocks.detail_unit, z += offset_z * blocks.detail_unit;
   }
+#pragma GCC unroll 4
+  for (int v = 0; v < kTogether; ++v) {
+    const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane + v * kLanes;
+    for (int c = 0; c < 3; ++c) {
+      const Floats place = load(rest + c * kBlock);
+      sum.of[v][c] = kDetail ? place + sum.of[v][c] * blocks.detail_unit : place;
+    }
+  }
+  return sum;
+}
+
+// blend: (12), summed matrices of vertices. place: (3), where they are at rest. normal_at_rest: kBlock from a
+// coordinate to the next.
+template <bool kNormals>
+inline SkinnedLanes skin_lanes(const Floats* blend, const Floats* place, const float* normal_at_rest) {
+  const Floats x = place[0], y = place[1], z = place[2];
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
     skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
   }
   if (!kNormals) return skinned;
-  const Floats nx = load(rest + 3 * kBlock), ny = load(rest + 4 * kBlock), nz = load(rest + 5 * kBlock);
+  const Floats nx = load(normal_at_rest), ny = load(normal_at_rest + kBlock), nz = load(normal_at_rest + 2 * kBlock);
   Floats normal[3];  // by the cofactors of the linear part, as surfaces turn when they are sheared or stretched
   for (int r = 0; r < 3; ++r) {
     const Floats* p = blend + 4 * ((r + 1) % 3);
@@ -139,15 +191,27 @@ inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, con
   const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
   const int full = blocks.vertex_count / kBlock, left = blocks.vertex_count % kBlock;
   const std::int32_t* vertex = blocks.vertex;
-  for (int block = 0; block < full; ++block) {
-    for (int lane = 0; lane < kBlock; lane += kLanes, vertex += kLanes) {
-      write_rows<kNormals>(skin_lanes<kNormals, kDetail>(blocks, matrices, offsets, block, lane), vertex, rows,
-                           row_bytes);
+  const float* normals = blocks.rest + 3 * kBlock;
+  for (int block = 0; block < full; ++block, normals += 6 * kBlock) {
+    for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
+      const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, block, lane);
+      const BlendedLanes blend = blend_lanes(blocks, matrices, block, lane);
+#pragma GCC unroll 4
+      for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
+        write_rows<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + lane + v * kLanes), vertex, rows,
+                             row_bytes);
+      }
     }
   }
-  for (int lane = 0; lane < left; lane += kLanes, vertex += kLanes) {
-    write_some<kNormals>(skin_lanes<kNormals, kDetail>(blocks, matrices, offsets, full, lane), vertex, left - lane,
-                         rows, row_bytes);
+  for (int lane = 0; lane < left; lane += kLanesTogether) {
+    const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, full, lane);
+    const BlendedLanes blend = blend_lanes(blocks, matrices, full, lane);
+#pragma GCC unroll 4
+    for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
+      const int from = lane + v * kLanes;
+      write_some<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + from), vertex, left - from, rows,
+                           row_bytes);
+    }
   }
 }
 
