@@ -120,8 +120,8 @@ $(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
 	$(PIP) --editable ".[bench]"
 	touch $@
 
-$(VENV)/installed-docs: | $(VENV)/bin/python
-	$(PIP) mkdocs-material
+$(VENV)/installed-docs: constraints.txt | $(VENV)/bin/python
+	$(PIP) mkdocs-material "mkdocstrings[python]"
 	touch $@
 
 $(VENV)/installed-wheel: | $(VENV)/bin/python

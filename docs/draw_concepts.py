@@ -119,7 +119,7 @@ def draw_layers() -> None:
     layers = [Mesh(*each) for each in zip(cloth, (layer.faces for layer in outfit.layers), layer_colours(2))]
     shown = {
         "skin that is not covered": [skin],
-        "of the trousers what shows": layers[:1],
+        "what shows of the trousers": layers[:1],
         "the T-shirt, made wider for them": layers[1:],
         "the outfit": [skin, *layers],
     }

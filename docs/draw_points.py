@@ -18,7 +18,7 @@ from physkin_core.picture import Mesh, contact_sheet, render
 DRAWING = ROOT / "docs" / "points.jpg"
 MOTION, FRAMES = "dance", (0, 30, 60)
 COUNT, SIDE = 20_000, 0.05  # splats; [m] of a square of the checker
-WIDE, THIN = 0.0042, 0.0004  # [m] standard deviations of a splat on the surface
+WIDE, THIN = 0.0052, 0.0004  # [m] standard deviations of a splat on the surface
 CORNERS, REACH = 8, 1.4  # of a disc; its radius in standard deviations
 COLOURS = ((0.80, 0.30, 0.22), (0.93, 0.87, 0.74))
 """sRGB of the checker."""

@@ -9,6 +9,7 @@ import live_page
 import pytest
 from source_links import on_page_markdown
 
+import physkin_core
 from draw_flow import FLOW, flow
 from import_graph import ROOT
 from physkin_core import load_garment_model
@@ -18,9 +19,10 @@ SITE = ROOT / "docs" / "site"
 
 
 def test_site_builds_without_a_warning(tmp_path):
-    """Every page is in the navigation, every link and anchor leads somewhere; nothing is fetched from elsewhere."""
+    """Every link and anchor leads somewhere, the Python reference is filled in; nothing is fetched from elsewhere."""
     pytest.importorskip("mkdocs", reason="needs mkdocs-material: pip install 'physkin[docs]'")
     pytest.importorskip("material", reason="needs mkdocs-material: pip install 'physkin[docs]'")
+    pytest.importorskip("mkdocstrings", reason="needs mkdocstrings: pip install 'physkin[docs]'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", SITE / "mkdocs.yml", "-d", tmp_path]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
@@ -28,6 +30,22 @@ def test_site_builds_without_a_warning(tmp_path):
     assert {path.stem for path in (ROOT / "docs").rglob("*.md")} - {"README"} <= pages
     home = (tmp_path / "index.html").read_text()
     assert not re.findall(r'(?:src|href)="https?://(?!squidfunk)[^"]*', home)
+    reference = (tmp_path / "api" / "index.html").read_text()
+    assert all(f'id="physkin_core.{name}"' in reference for name in physkin_core.__all__)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "expected"),
+    [
+        ("Drape. pose: (d,) [rad]. out, kind: as: ever.", ["pose", "out", "kind"], ["pose", "out, kind"]),
+        ("faces: (f, 3).\nRaises ValueError for a face: it is bad. A face: no item.", ["faces"], ["faces", "Raises"]),
+        ("Nothing to list. name: of a person.", [], []),
+    ],
+)
+def test_docstrings_become_lists(text, names, expected):
+    """Of parameters by their names, and of errors."""
+    docstring_items = pytest.importorskip("docstring_items", reason="needs griffe: pip install 'physkin[docs]'")
+    assert re.findall(r"^- \*\*(.+?)\*\*", docstring_items.listed(text, names), re.MULTILINE) == expected
 
 
 def test_a_live_page_takes_the_place_of_its_picture(tmp_path, monkeypatch):
