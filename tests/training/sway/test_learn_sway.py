@@ -69,7 +69,8 @@ def test_the_file_sways_as_the_network_that_was_learnt(band, monkeypatch):
     place = torch.tensor([[0, 0, 1.0], [0.05, 0, 1.0]])
     upright = torch.eye(3).repeat(1, 2, 1, 1)
     with torch.no_grad():
-        drive, pose = Features(model.rig, joints, device)(positions[None], place[None], upright, 0.05)
+        down = torch.tensor([0, 0, -1.0]).repeat(1, 2, 1)
+        drive, pose = Features(model.rig, joints, device)(positions[None], place[None], upright, down, 0.05)
         offsets = network(drive, pose, codes(dressed.body_modulation), 0.05)[:, 1].view(1, -1, 3, 4)
         posed = dressed.pose(positions[:1])
         nodes, detail = dressed.draped(positions[:1], torch.tensor([[0, 0, -1.0]]), posed)

@@ -43,8 +43,9 @@ def test_torch_and_the_reference_agree(step):
     positions = (RIG.rest + away).astype(np.float32)
     place = np.cumsum(generator.normal(scale=0.1 * step * 15, size=(frames, 3)), axis=0).astype(np.float32)
     turn = Rotation.from_rotvec(np.cumsum(generator.normal(scale=0.15, size=(frames, 3)), axis=0)).as_matrix()
+    gravity = np.cumsum(generator.normal(scale=0.1, size=(frames, 3)), axis=0) - turn[:, 2]
     with torch.no_grad():
-        tensors = (torch.as_tensor(a, dtype=torch.float32)[None] for a in (positions, place, turn))
+        tensors = (torch.as_tensor(a, dtype=torch.float32)[None] for a in (positions, place, turn, gravity))
         drive, pose = Features(RIG, joints, torch.device("cpu"))(*tensors, step)
         code = codes(torch.as_tensor(modulation)[None])
         offsets = network(drive, pose, code, step)[0].unflatten(1, (-1, 3, 4))
@@ -52,7 +53,7 @@ def test_torch_and_the_reference_agree(step):
     folded = fold_body(exported(network, (network.out.weight, network.out.bias), joints, codes), modulation)
     sway = SwayNetwork(SimpleNamespace(dof_lower=RIG.lower, dof_upper=RIG.upper, **folded))
     for frame in range(frames):
-        row = FrameInput(-turn[frame, 2], elapsed=-1.0)
+        row = FrameInput(gravity[frame], elapsed=-1.0)
         if frame:
             velocity = turn[frame].T @ (place[frame] - place[frame - 1]) / step
             turning = Rotation.from_matrix(turn[frame - 1].T @ turn[frame]).as_rotvec() / step

@@ -26,6 +26,11 @@ def test_motions_are_what_a_body_can_do(pool):
     assert np.abs(np.diff(motions.positions, axis=1)).max() < 30 / 60  # [rad] a frame
     assert np.linalg.norm(np.diff(motions.place, axis=1), axis=2).max() < 8 / 60  # [m] a frame
     assert np.ptp(motions.place, axis=1).max(axis=1).mean() > 0.3, "bodies go about"
+    pull = np.einsum("btij,btj->bti", motions.turn, motions.gravity) + [0, 0, 1]  # of the wind, in the world
+    windy = np.abs(pull).max(axis=(1, 2)) > 0.01
+    assert 0.15 < windy.mean() < 0.55 and np.abs(pull[~windy]).max() < 1e-5
+    assert 0.1 < np.linalg.norm(pull, axis=2).max() < 2.8, "training knows no more"
+    assert np.abs(np.diff(pull, axis=1)).max() < 0.3, "it does not jump"
 
 
 def test_a_walker_is_one_by_seed_and_number(pool):

@@ -8,6 +8,8 @@ import torch
 from training.small_runs import waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_training.energies.motion import Dynamics
 from physkin_training.sway import walker_simulation
 from physkin_training.sway.motions import WalkerMotions
 from physkin_training.sway.node_skinning import NodeSkinning
@@ -34,12 +36,13 @@ def simulation():
     return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, held_above=HELD_ABOVE)
 
 
-def motions(acceleration: float, frames: int) -> WalkerMotions:
-    """Four walkers at rest, whose roots are accelerated ahead [m/s2]."""
+def motions(acceleration: float, frames: int, *, wind: float = 0.0) -> WalkerMotions:
+    """Four walkers at rest, whose roots are accelerated ahead [m/s2], in a wind from behind [m/s]."""
     positions = np.tile(BODY_MODEL.rig.rest, (4, frames, 1)).astype(np.float32)
     place = np.zeros((4, frames, 3), np.float32)
     place[..., 0] = acceleration / 2 * (np.arange(frames) / 60) ** 2
-    return WalkerMotions(positions, place, np.tile(np.eye(3, dtype=np.float32), (4, frames, 1, 1)))
+    gravity = np.tile(np.array([wind * Dynamics().air_drag / STANDARD_GRAVITY, 0, -1], np.float32), (4, frames, 1))
+    return WalkerMotions(positions, place, np.tile(np.eye(3, dtype=np.float32), (4, frames, 1, 1)), gravity)
 
 
 def offsets_of(simulation, motion):
@@ -95,7 +98,7 @@ def test_cloth_that_is_moved_as_one_weighs_what_it_weighs(simulation):
 def test_a_step_lowers_the_potential(simulation):
     still = motions(0.0, 1)
     with torch.no_grad():
-        now = simulation._stance(*(torch.as_tensor(a[:, 0]) for a in (still.positions, still.turn, still.place)))
+        now = stance_of(simulation, still)
         vertices = simulation.skinning.vertices(now.drape)
         simulation.potential.begin(vertices, vertices)
 
@@ -124,8 +127,28 @@ def simulation_turns(simulation):
     """Of posed garment nodes at rest."""
     still = motions(0.0, 1)
     with torch.no_grad():
-        stance = simulation._stance(*(torch.as_tensor(a[:, 0]) for a in (still.positions, still.turn, still.place)))
-    return stance.node_turns
+        return stance_of(simulation, still).node_turns
+
+
+def stance_of(simulation, motion):
+    """In the first frame."""
+    parts = (motion.positions, motion.turn, motion.place, motion.gravity)
+    return simulation._stance(*(torch.as_tensor(a[:, 0]) for a in parts))
+
+
+def test_wind_pulls_as_still_air_does_at_a_root_that_goes_the_other_way(simulation):
+    with torch.no_grad():
+        calm, windy = (stance_of(simulation, motions(0.0, 1, wind=wind)) for wind in (0.0, 3.0))
+        cloth = simulation.skinning.vertices(calm.drape)
+        where_it_was = cloth + torch.tensor([3.0 / 60, 0.0, 0.0])  # seen from a root that has gone on by as much
+
+        def gradient(before, gravity):
+            simulation.potential.begin(before, cloth)
+            return simulation.potential.evaluate(cloth, gravity, *simulation.dressed.contact)[1].clone()
+
+        in_wind, against_air = gradient(cloth, windy.gravity), gradient(where_it_was, calm.gravity)
+        assert (in_wind - gradient(cloth, calm.gravity)).norm() > 1e-2
+    torch.testing.assert_close(in_wind, against_air, atol=1e-5, rtol=1e-3)
 
 
 def test_cloth_that_is_lost_does_not_count_and_begins_anew(simulation, monkeypatch):

@@ -18,6 +18,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.dynamics.scenes import scene_wind
 from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.motion import Dynamics
 from physkin_training.physics.full_space_solver import FullSpaceSolver
@@ -93,10 +94,12 @@ class DynamicSimulation:
         turns = [Rotation.from_quat(motion.root_orientation).as_matrix() for motion in fine]
         self._turn = tensor(turns, torch.float64)
         self._place = tensor([motion.root_position for motion in fine], torch.float64)
+        dynamics = dynamics or Dynamics()
+        felt = [dynamics.effective_gravity(turn, scene_wind(motion)) for turn, motion in zip(turns, fine)]
+        self._gravity = tensor(felt)
 
         self.lost_at = torch.full((self.samples,), self.frame_count, device=device)
         self.dressed = DressedSamples(model, body_model, bodies, self.body, fit=fit)
-        dynamics = dynamics or Dynamics()
         self.potential = self.dressed.potential(self.step, dynamics)
         self.frame_potential = self.dressed.potential(1 / rate, dynamics)
         self._held = torch.as_tensor(model.garment.vertices[:, 2] > held_above, device=device)
@@ -212,8 +215,8 @@ class DynamicSimulation:
         return self.gravity(step)
 
     def gravity(self, step: int) -> torch.Tensor:
-        """Direction (B, 3) in the root frames."""
-        return -self._turn[self.scene, step, 2].float()
+        """With the pull of the wind, (B, 3) in the root frames."""
+        return self._gravity[self.scene, step]
 
     def _to_root(self, world: torch.Tensor, step: int) -> torch.Tensor:
         """(B, n, 3) float64 world to float32 root frame."""

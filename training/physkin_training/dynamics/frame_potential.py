@@ -13,6 +13,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_training.dynamics.dressed_samples import DressedSamples
+from physkin_training.dynamics.scenes import scene_wind
 from physkin_training.energies.motion import Dynamics
 
 __all__ = ["frame_potentials"]
@@ -35,7 +36,8 @@ def frame_potentials(
     """
     body = torch.zeros(len(frames), dtype=torch.int64, device=device)
     samples = DressedSamples(model, body_model, coefficients[None], body)
-    potential = samples.potential(1 / motion.rate_hz, dynamics or Dynamics())
+    dynamics = dynamics or Dynamics()
+    potential = samples.potential(1 / motion.rate_hz, dynamics)
     turn = Rotation.from_quat(motion.root_orientation).as_matrix()
     place = motion.root_position.astype(np.float64)
 
@@ -52,6 +54,6 @@ def frame_potentials(
     samples.pose(tensor(motion.positions_for(model.rig)[frames]))
     potential.begin(in_root(last), in_root(2 * last - before_last))
     with torch.no_grad():
-        gravity = tensor(-turn[frames, 2])
+        gravity = tensor(dynamics.effective_gravity(turn, scene_wind(motion))[frames])
         energies, _ = potential.evaluate(tensor(drapes[frames]), gravity, *samples.contact)
     return {name: values.cpu().numpy() for name, values in energies.items()}

@@ -16,7 +16,7 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.rig.rig import Rig
 
-__all__ = ["LOOPED", "RATE_HZ", "ROOT_SCENES", "SWING_ACCELERATION", "load_scene", "smooth_step"]
+__all__ = ["LOOPED", "RATE_HZ", "ROOT_SCENES", "SWING_ACCELERATION", "load_scene", "scene_wind", "smooth_step"]
 
 RATE_HZ = 60.0
 EASE = 0.4
@@ -28,9 +28,12 @@ SWING_ACCELERATION = 2.5
 SWING_BEGINS = 0.25
 LOOPED = ("walk", "run")
 """Shipped clips whose end goes on as they begin, in speed, too."""
-ROOT_SCENES = ("swing-0.5", "swing-1", "swing-2", "swing-4", "stop", "turn")
+ROOT_SCENES = ("swing-0.5", "swing-1", "swing-2", "swing-4", "stop", "turn", "slow-turn", "gust")
 """Motions of the root of a body that holds the rig's rest pose: to and fro sideways, so many times a second; ahead at
-1.4 m/s and a stop within a quarter of a second; a turn by 180 degrees within 0.6 seconds."""
+1.4 m/s and a stop within a quarter of a second; a turn by 180 degrees within 0.6 seconds, and a whole one within 2.4;
+none, while the wind blows."""
+GUST = 4.0
+"""[m/s] from the left behind, for a second and a half."""
 
 
 def load_scene(name: str, rig: Rig, *, seconds: float) -> Motion:
@@ -53,6 +56,13 @@ def load_scene(name: str, rig: Rig, *, seconds: float) -> Motion:
     if not 0 <= begin <= lasts - 2 * EASE:
         raise MotionError(f"scene {name!r} begins at {begin:g} s; the clip lasts {lasts:.1f} s and eases in and out")
     return _eased(motion, begin, min(lasts - begin, seconds - STANDING - EASE), times)
+
+
+def scene_wind(motion: Motion) -> np.ndarray:
+    """Wind (T, 3) [m/s] in the world in the frames of a scene: in `gust` it rises within 0.3 s and falls within 0.5."""
+    times = np.arange(motion.frame_count) / motion.rate_hz
+    blows = smooth_step((times - 0.5) / 0.3) * (1 - smooth_step((times - 2.0) / 0.5))
+    return np.outer(GUST * blows * (motion.name == "gust"), [0.6, -0.8, 0.0])
 
 
 def _eased(motion: Motion, begin: float, length: float, times: np.ndarray) -> Motion:
@@ -85,7 +95,9 @@ def _root_scene(name: str, rig: Rig, times: np.ndarray) -> Motion:
         yaw = np.pi * smooth_step((times - 1.0) / 0.6)
     elif name == "stop":
         position[:, 0] = 1.4 * (_ramped(times - 0.25, 0.5) - _ramped(times - 2.0, 0.25))
-    else:
+    elif name == "slow-turn":
+        yaw = 2 * np.pi * smooth_step((times - 0.4) / 2.4)
+    elif name.startswith("swing"):
         rate = 2 * np.pi * float(name.partition("-")[2])
         since = np.maximum(times - SWING_BEGINS, 0)
         position[:, 1] = SWING_ACCELERATION / rate**2 * np.sin(rate * since) * smooth_step(since * rate / (2 * np.pi))

@@ -1,8 +1,8 @@
 """What moves cloth in one step of time: inertia, air drag, and what cloth loses inside itself.
 
 In a step of h seconds: inertia m / (2 h^2) |x - (x_before + h v)|^2, air drag against still air
-m c / (2 h) |x - x_before|^2, and the membrane's energy of the change of strain, times its relaxation time over h
-(Kelvin and Voigt's solid).
+m c / (2 h) |x - x_before|^2 (wind w adds the uniform pull m c w, which is a part of gravity), and the membrane's energy
+of the change of strain, times its relaxation time over h (Kelvin and Voigt's solid).
 
 Dimensions: `B` samples, `n` garment vertices. Metres, root frame, seconds.
 """
@@ -38,6 +38,12 @@ class Dynamics:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}, allowed: a finite number of 0 or more")
+
+    def effective_gravity(self, turn: np.ndarray, wind: np.ndarray) -> np.ndarray:
+        """Gravity (T, 3) with the pull of the wind, in root frames, in units of gravity. turn: (T, 3, 3) of the root in
+        the world; wind: (T, 3) [m/s]."""
+        pull = self.air_drag / STANDARD_GRAVITY * wind - [0.0, 0.0, 1.0]
+        return np.einsum("tij,ti->tj", turn, pull)
 
 
 class TimeStep:

@@ -22,7 +22,7 @@ from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.energies.motion import Dynamics
 from physkin_training.soap import Soap
-from physkin_training.sway.learning import KEPT, learning_rate
+from physkin_training.sway.learning import KEPT, SWING, SWINGING, learning_rate, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import SLOWLY, in_one_size
@@ -98,6 +98,7 @@ def tuned_network(
     of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
     is_draped = torch.arange(WINDOWS * len(of_body), device=walkers.positions.device) % WINDOWS < DRAPED
     spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
+    squares = walkers.shapes.distance.diagonal()
     swing = SLOWLY / 2 * cloth.mass * spread / 1e6
     watch = progress_line("fine-tuning")
     for step in range(steps):
@@ -106,11 +107,15 @@ def tuned_network(
         drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
         window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
         hidden = window.hidden(network)
-        error = walkers.shapes.millimetres(last.coefficients(hidden) - window.coefficients) / spread
+        coefficients = last.coefficients(hidden)
+        error = window.mean(walkers.shapes.millimetres(coefficients - window.coefficients))
+        swing_error = (missed_swing(window, coefficients).square() @ squares[:SWINGING]).mean()
         offsets = last(hidden[is_draped, -1])
         forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
         energy = (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
-        loss = window.mean(error) + ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)) * energy / swing
+        loss = (error + SWING * swing_error) / spread + ENERGY * min(
+            1.0, (step + 1) / (GROWS_FOR * steps)
+        ) * energy / swing
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -136,8 +141,7 @@ class _Cloth:
         """Forces (B, a) [N] out of balance at offsets (B, a) of these walkers' frames (B,): derivatives of the
         energies, and the resistance of inertia and drag."""
         known, dressed = self._walkers, self._dressed
-        positions, turn = known.positions[walker, frame], known.turn[walker, frame]
-        gravity = -turn[:, 2].contiguous()
+        positions, gravity = known.positions[walker, frame], known.gravity[walker, frame]
         posed = dressed.pose(positions)
         turns = posed[..., :3]
         drape, folds = dressed.draped(positions, gravity, posed)

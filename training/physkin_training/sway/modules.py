@@ -54,12 +54,11 @@ class Features:
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
 
     def __call__(
-        self, positions: torch.Tensor, place: torch.Tensor, turn: torch.Tensor, step: float
+        self, positions: torch.Tensor, place: torch.Tensor, turn: torch.Tensor, gravity: torch.Tensor, step: float
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Drive (B, T, f) and pose (B, T, p) of positions (B, T, d), place (B, T, 3) and turn (B, T, 3, 3) of the root,
-        frames of `step` [s]. The first one stands still."""
+        and gravity (B, T, 3) in its frame, in frames of `step` [s]. The first one stands still."""
         joints = (positions[..., self._joints] - self._middle) / self._half
-        gravity = -turn[..., 2, :]
         rate = (joints - _before(joints)) / step
         moved = (place - _before(place)) / step
         velocity = (turn.mT @ moved[..., None])[..., 0]

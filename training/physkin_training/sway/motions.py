@@ -1,7 +1,8 @@
 """Motions of walkers that cloth is simulated on, each drawn by its own seed, at 60 Hz.
 
 Half are shipped clips at changing speed, with other bearing, along curves; a quarter smooth ways through everyday
-poses; the others a pose that is held while the root swings, stops or turns. Half of all are mirrored.
+poses; the others a pose that is held while the root swings, stops or turns. In a third the wind blows, in gusts. Half
+of all are mirrored.
 
 Dimensions: `B` walkers, `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
 """
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from physkin_core.motion.loading import load_motion
 from physkin_core.rig.rig import Rig
 from physkin_training.dynamics.scenes import LOOPED, RATE_HZ, smooth_step
+from physkin_training.energies.motion import Dynamics
 from physkin_training.sampling.everyday_poses import EverydayPoses
 from physkin_training.sampling.mirrored_poses import mirrored
 
@@ -33,16 +35,19 @@ POSES = 8192
 MIRROR = np.diag([1.0, -1.0, 1.0])
 BRAKES = 0.6
 """[s] in which a clip that ends comes to a stop."""
+WINDY, LIGHTEST, STRONGEST = 0.33, 0.5, 6.0
+"""Share of the motions in wind, and how strong gusts are [m/s]."""
 
 
 @dataclass(frozen=True)
 class WalkerMotions:
     """Joint positions (B, T, d) [rad] within limits; place (B, T, 3) [m], turn (B, T, 3, 3) of the root in the world;
-    all float32."""
+    gravity (B, T, 3) in the root frame, in units of gravity, with the pull of the wind; all float32."""
 
     positions: np.ndarray
     place: np.ndarray
     turn: np.ndarray
+    gravity: np.ndarray
 
 
 class MotionPool:
@@ -68,7 +73,7 @@ class MotionPool:
         rows = [self._drawn(np.random.default_rng((seed, walker)), frames) for walker in walkers]
         return WalkerMotions(*(np.stack(arrays).astype(np.float32) for arrays in zip(*rows)))
 
-    def _drawn(self, rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _drawn(self, rng: np.random.Generator, frames: int) -> tuple[np.ndarray, ...]:
         own_time = _own_time(rng, frames)
         kind = rng.random()
         if kind < FROM_CLIPS:
@@ -79,8 +84,8 @@ class MotionPool:
             positions, place, turn = self._held_pose(rng, own_time)
         positions = positions.clip(self.rig.lower, self.rig.upper)
         if rng.random() < 0.5:
-            return mirrored_motion(self.rig, positions, place, turn)
-        return positions, place, turn
+            positions, place, turn = mirrored_motion(self.rig, positions, place, turn)
+        return positions, place, turn, Dynamics().effective_gravity(turn, _wind(rng, frames))
 
     def _from_clip(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         joints, root, orientation = self._clips[rng.choice(len(self._clips), p=self._chances)]
@@ -202,6 +207,24 @@ def _wander(rng: np.random.Generator, times: np.ndarray, size: float) -> tuple[n
         rate = 2 * math.pi * _log_uniform(rng, 0.25, 1.5)
         yaw += np.sin(rate * times + rng.uniform(0, 2 * math.pi)) * rng.normal() * 4 * size / rate**2
     return place + np.outer(times, [*(0.6 * rng.normal(size=2)), 0.0]), yaw
+
+
+def _wind(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """(T, 3) [m/s] of the wind: in most motions none, else gusts over a breeze from the same side."""
+    if rng.random() >= WINDY:
+        return np.zeros((frames, 3))
+    times, heading = np.arange(frames) / RATE_HZ, rng.uniform(0, 2 * math.pi)
+    speed = np.full(frames, rng.uniform(0, 0.5))
+    begin = rng.uniform(-1, 1)
+    while begin < times[-1]:
+        rise, lasts, fall = rng.uniform(0.15, 0.8), rng.uniform(0.2, 1.5), rng.uniform(0.2, 1)
+        since = times - begin
+        speed = speed + rng.uniform(0.3, 1) * smooth_step(since / rise) * (
+            1 - smooth_step((since - rise - lasts) / fall)
+        )
+        begin += rise + lasts + fall + rng.uniform(-0.3, 1.5)
+    ahead = [math.cos(heading), math.sin(heading), 0.2 * rng.normal()]
+    return np.outer(_log_uniform(rng, LIGHTEST, STRONGEST) * speed, ahead)
 
 
 def _about_vertical(yaw: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.dynamic_simulation import A_LONG_TIME, LARGEST_EXTENT
 from physkin_training.dynamics.scenes import RATE_HZ
@@ -105,7 +106,9 @@ class WalkerSimulation:
         walkers, device = len(self.dressed.body), self.dressed.device
         rest = torch.tensor(self.dressed.model.rig.rest, dtype=torch.float32, device=device)
         upright = torch.eye(3, device=device).expand(walkers, -1, -1)
-        stance = self._stance(rest.expand(walkers, -1).contiguous(), upright, torch.zeros(walkers, 3, device=device))
+        down = torch.tensor(UPRIGHT_GRAVITY, dtype=torch.float32, device=device).expand(walkers, -1).contiguous()
+        place = torch.zeros(walkers, 3, device=device)
+        stance = self._stance(rest.expand(walkers, -1).contiguous(), upright, place, down)
         still = self.skinning.vertices(stance.drape)
         self.potential.begin(still, still)
         at = (stance.drape, stance.node_turns, stance.gravity)
@@ -125,12 +128,11 @@ class WalkerSimulation:
         their own posed frames, the forces [N] by which inertia and drag resist changes of these, both (B, m, 3, 4),
         and which of them count (B,)."""
         device = self.dressed.device
-        positions, place, turn = (
-            torch.as_tensor(a, device=device) for a in (motions.positions, motions.place, motions.turn)
-        )
+        moved = (motions.positions, motions.turn, motions.place, motions.gravity)
+        positions, *others = (torch.as_tensor(a, device=device) for a in moved)
 
         def stance(frame: int) -> _Stance:
-            return self._stance(positions[:, frame].contiguous(), turn[:, frame], place[:, frame])
+            return self._stance(*(a[:, frame].contiguous() for a in (positions, *others)))
 
         with torch.no_grad():
             now = stance(0)
@@ -153,8 +155,9 @@ class WalkerSimulation:
                 lost_for = torch.where(lost, LOST_FOR, (lost_for - 1).clamp_min(0))
                 watch(frame, offsets, resistance, lost_for == 0)
 
-    def _stance(self, positions: torch.Tensor, turn: torch.Tensor, place: torch.Tensor) -> _Stance:
-        gravity = -turn[:, 2].contiguous()
+    def _stance(
+        self, positions: torch.Tensor, turn: torch.Tensor, place: torch.Tensor, gravity: torch.Tensor
+    ) -> _Stance:
         posed = self.dressed.pose(positions)
         drape, offsets = self.dressed.draped(positions, gravity, posed)
         self.skinning.fold(offsets)

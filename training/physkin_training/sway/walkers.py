@@ -31,9 +31,10 @@ LEAST_VALID = 0.5
 
 @dataclass(frozen=True)
 class Walkers:
-    """Motions: positions (N, T, d) [rad], place (N, T, 3) [m] and turn (N, T, 3, 3) of the root in the world, 60 frames
-    a second. Of every fourth frame: coefficients (N, t, r) float16 of offsets, resistance (N, t, 12 m) float16 [mN] of
-    inertia and drag, see `WalkerSimulation.run`, and whether they count, valid (N, t).
+    """Motions: positions (N, T, d) [rad], place (N, T, 3) [m] and turn (N, T, 3, 3) of the root in the world, gravity
+    (N, T, 3) in its frame, see `WalkerMotions`, 60 frames a second. Of every fourth frame: coefficients (N, t, r)
+    float16 of offsets, resistance (N, t, 12 m) float16 [mN] of inertia and drag, see `WalkerSimulation.run`, and
+    whether they count, valid (N, t).
     body (N,): which of the bodies; bodies (S, c'): their shape coefficients; codes (S, c). free: (m,) bool, garment
     nodes that sway. cost: (12 m, 12 m), see `WalkerSimulation`.
     """
@@ -41,6 +42,7 @@ class Walkers:
     positions: torch.Tensor
     place: torch.Tensor
     turn: torch.Tensor
+    gravity: torch.Tensor
     coefficients: torch.Tensor
     resistance: torch.Tensor
     valid: torch.Tensor
@@ -96,7 +98,7 @@ def simulated_walkers(
         return torch.as_tensor(np.concatenate([getattr(each_round, name) for each_round in motions]), device=device)
 
     return Walkers(
-        *(together("positions"), together("place"), together("turn")),
+        *(together("positions"), together("place"), together("turn"), together("gravity")),
         coefficients=torch.cat(small),
         resistance=resistance,
         valid=valid,

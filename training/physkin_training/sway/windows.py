@@ -43,6 +43,12 @@ class Window:
         """What the network's last layer reads, (B, t, h)."""
         return network.hidden(self.drive, self.pose, self.code, self.step, every=self.every)
 
+    def swing(self, coefficients: torch.Tensor) -> torch.Tensor:
+        """How far coefficients (B, t, r) go to and fro in the frames that count: their standard deviation (B, r)."""
+        share = self.share[..., None] / self.share.sum(dim=1).clamp_min(1)[:, None, None]
+        mean = (share * coefficients).sum(dim=1, keepdim=True)
+        return ((share * (coefficients - mean) ** 2).sum(dim=1) + 1).sqrt()
+
     def mean(self, errors: torch.Tensor) -> torch.Tensor:
         """Of errors (B, t), those that count."""
         return (errors * self.share).sum() / self.share.sum().clamp_min(1)
@@ -69,8 +75,8 @@ class Windows:
         frames = start[:, None] + torch.arange(0, span + 1, stride, device=device)
         row = walker[:, None]
         step = stride / RATE_HZ
-        motion = (known.positions[row, frames], known.place[row, frames], known.turn[row, frames])
-        drive, pose = self._features(*motion, step)
+        motion = (known.positions, known.place, known.turn, known.gravity)
+        drive, pose = self._features(*(part[row, frames] for part in motion), step)
         every = KEPT_EVERY // stride
         targets = frames[:, ::every] // KEPT_EVERY
         share = known.valid[row, targets].float()
