@@ -1,6 +1,8 @@
 """Stretch: the StVK membrane of faces (Barbic and James 2005).
 
-With E = (F^T F - I) / 2 a face's Green strain, its energy is A (mu E : E + lambda / 2 tr(E)^2).
+With E = (F^T F - I) / 2 a face's Green strain, its energy is A (mu E : E + lambda / 2 tr(E)^2). Where few numbers move
+a garment, its faces cannot buckle as cloth does, and would be stiff where it yields: of compression, which are E's
+negative eigenvalues and a negative trace, a share of the stiffness may then be left (tension fields, Pipkin 1986).
 """
 
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest
@@ -45,11 +47,73 @@ def strain_of(
     return e
 
 
+@wp.struct
+class Stiffness:
+    """Lame's mu and lambda [N/m], and the share of them that is left under compression."""
+
+    mu: wp.float32
+    lam: wp.float32
+    compressed: wp.float32
+
+
+@wp.struct
+class Principal:
+    """Eigenvalues of a strain, first the larger, with the unit eigenvector n1 of it, n2 = (-n1[1], n1[0]), and how much
+    of the stiffness is left of each, of shear between them, and of the trace."""
+
+    e1: wp.float32
+    e2: wp.float32
+    n1: wp.vec2
+    left1: wp.float32
+    left2: wp.float32
+    left_shear: wp.float32
+    left_trace: wp.float32
+
+
 @wp.func
-def membrane_stress(e: wp.vec3, mu: wp.float32, lam: wp.float32) -> wp.vec3:
+def left_of(strain: wp.float32, compressed: wp.float32) -> wp.float32:
+    if strain < 0.0:
+        return compressed
+    return 1.0
+
+
+@wp.func
+def principal(e: wp.vec3, compressed: wp.float32) -> Principal:
+    """Of a strain with entries 11, 22, 12."""
+    p = Principal()
+    middle = 0.5 * (e[0] + e[1])
+    half = 0.5 * (e[0] - e[1])
+    radius = wp.sqrt(half * half + e[2] * e[2])
+    p.e1 = middle + radius
+    p.e2 = middle - radius
+    p.n1 = wp.vec2(1.0, 0.0)
+    p.left1 = left_of(p.e1, compressed)
+    p.left2 = left_of(p.e2, compressed)
+    p.left_trace = left_of(middle, compressed)
+    p.left_shear = p.left_trace
+    if radius > 1.0e-7:
+        angle = 0.5 * wp.atan2(e[2], half)
+        p.n1 = wp.vec2(wp.cos(angle), wp.sin(angle))
+        p.left_shear = 0.5 * (p.left1 * p.e1 - p.left2 * p.e2) / radius
+    return p
+
+
+@wp.func
+def membrane_energy(p: Principal, k: Stiffness) -> wp.float32:
+    """For each area of a face [J/m2]."""
+    trace = p.e1 + p.e2
+    return k.mu * (p.left1 * p.e1 * p.e1 + p.left2 * p.e2 * p.e2) + 0.5 * k.lam * p.left_trace * trace * trace
+
+
+@wp.func
+def membrane_stress(p: Principal, k: Stiffness) -> wp.vec3:
     """Entries 11, 22, 12 of the second Piola-Kirchhoff stress S."""
-    trace = e[0] + e[1]
-    return wp.vec3(2.0 * mu * e[0] + lam * trace, 2.0 * mu * e[1] + lam * trace, 2.0 * mu * e[2])
+    pressure = k.lam * p.left_trace * (p.e1 + p.e2)
+    s1 = 2.0 * k.mu * p.left1 * p.e1 + pressure
+    s2 = 2.0 * k.mu * p.left2 * p.e2 + pressure
+    c = p.n1[0]
+    s = p.n1[1]
+    return wp.vec3(s1 * c * c + s2 * s * s, s1 * s * s + s2 * c * c, (s1 - s2) * c * s)
 
 
 @wp.kernel
@@ -58,8 +122,7 @@ def membrane_kernel(
     drapes: Drapes,
     faces: wp.array2d(dtype=wp.int32),
     unstressed: wp.array2d(dtype=wp.vec3),
-    mu: wp.float32,
-    lam: wp.float32,
+    stiffness: Stiffness,
     energy: wp.array2d(dtype=wp.float32),
 ):
     """One face of one sample: its force is A F S. Against the rest shape, it also adds its normal to its corners'."""
@@ -68,10 +131,9 @@ def membrane_kernel(
     inverse = rest.inverse[rest.row[s], t]
     area = rest.face_area[rest.row[s], t]
     f1, f2 = deformation_columns(drapes.x, s, corners, inverse)
-    e = strain_of(f1, f2, unstressed, s, corners, inverse)
-    trace = e[0] + e[1]
-    energy[s, t] = area * (mu * (e[0] * e[0] + e[1] * e[1] + 2.0 * e[2] * e[2]) + 0.5 * lam * trace * trace)
-    stress = membrane_stress(e, mu, lam)
+    strain = principal(strain_of(f1, f2, unstressed, s, corners, inverse), stiffness.compressed)
+    energy[s, t] = area * membrane_energy(strain, stiffness)
+    stress = membrane_stress(strain, stiffness)
     p1 = (f1 * stress[0] + f2 * stress[2]) * area
     p2 = (f1 * stress[2] + f2 * stress[1]) * area
     g1 = p1 * inverse[0, 0] + p2 * inverse[0, 1]
@@ -116,13 +178,12 @@ def membrane_hessian_kernel(
     drapes: Drapes,
     faces: wp.array2d(dtype=wp.int32),
     unstressed: wp.array2d(dtype=wp.vec3),
-    mu: wp.float32,
-    lam: wp.float32,
+    stiffness: Stiffness,
     blocks: Blocks,
 ):
-    """With F_i the columns of F, g_a a corner's gradient and u_a = F g_a, the block of corners a, b is
-    A ((g_a . S g_b) I + lam u_a u_b^T + mu (u_b u_a^T + (g_a . g_b) F F^T)); its first term alone can be negative, and
-    is made positive by leaving compression out of the stress S."""
+    """With g_a a corner's gradient, u_a = F g_a, and F n_i and g_a . n_i in the strain's principal axes, the block of
+    corners a, b is A ((g_a . S g_b) I + lam u_a u_b^T + 2 mu dE_a : dE_b), dE the change of the strain; its first term
+    alone can be negative, and is made positive by leaving compression out of the stress S."""
     s, t = wp.tid()
     if not blocks.active[s]:
         return
@@ -130,28 +191,39 @@ def membrane_hessian_kernel(
     inverse = rest.inverse[rest.row[s], t]
     area = rest.face_area[rest.row[s], t]
     f1, f2 = deformation_columns(drapes.x, s, corners, inverse)
-    stress = membrane_stress(strain_of(f1, f2, unstressed, s, corners, inverse), mu, lam)
+    strain = principal(strain_of(f1, f2, unstressed, s, corners, inverse), stiffness.compressed)
+    stress = membrane_stress(strain, stiffness)
     if not blocks.exact[s]:
         stress = positive_part(stress)
-    left = wp.outer(f1, f1) + wp.outer(f2, f2)
+    n1 = strain.n1
+    n2 = wp.vec2(-n1[1], n1[0])
+    h1 = f1 * n1[0] + f2 * n1[1]
+    h2 = f1 * n2[0] + f2 * n2[1]
     identity = wp.identity(n=3, dtype=wp.float32)
     for a in range(3):
         ga = corner_gradient(inverse, a)
-        ua = f1 * ga[0] + f2 * ga[1]
+        a1 = wp.dot(ga, n1)
+        a2 = wp.dot(ga, n2)
         for b in range(3):
             gb = corner_gradient(inverse, b)
-            ub = f1 * gb[0] + f2 * gb[1]
+            b1 = wp.dot(gb, n1)
+            b2 = wp.dot(gb, n2)
             along = ga[0] * gb[0] * stress[0] + ga[1] * gb[1] * stress[1]
             along += (ga[0] * gb[1] + ga[1] * gb[0]) * stress[2]
-            block = along * identity + lam * wp.outer(ua, ub) + mu * (wp.outer(ub, ua) + wp.dot(ga, gb) * left)
+            change = strain.left1 * a1 * b1 * wp.outer(h1, h1) + strain.left2 * a2 * b2 * wp.outer(h2, h2)
+            change += 0.5 * strain.left_shear * wp.outer(h1 * a2 + h2 * a1, h1 * b2 + h2 * b1)
+            trace = strain.left_trace * wp.outer(h1 * a1 + h2 * a2, h1 * b1 + h2 * b2)
+            block = along * identity + stiffness.lam * trace + 2.0 * stiffness.mu * change
             wp.atomic_add(blocks.all, s, blocks.slots[t, 3 * a + b], area * block)
 
 
 class Stretch(Energy):
     """Against the rest shapes' `rest_inverse` and `face_area`. unstressed: None, or vertices (B, n, 3) whose strain
-    is without stress, in place of the rest shape's."""
+    is without stress, in place of the rest shape's. `compressed`, which may be changed: the share of the stiffness that
+    is left under compression."""
 
     name = "stretch"
+    compressed = 1.0
 
     def __init__(self, cloth: Cloth, *, unstressed: wp.array | None = None) -> None:
         super().__init__(cloth, cloth.garment.faces)
@@ -162,10 +234,17 @@ class Stretch(Energy):
         """mu and lambda [N/m]."""
         return self.cloth.lame
 
+    @property
+    def stiffness(self) -> Stiffness:
+        stiffness = Stiffness()
+        stiffness.mu, stiffness.lam = self.lame
+        stiffness.compressed = self.compressed
+        return stiffness
+
     def evaluate(self, drapes: Drapes) -> None:
-        given = self._rest, drapes, self._elements, self._unstressed, *self.lame
+        given = self._rest, drapes, self._elements, self._unstressed, self.stiffness
         self._launch(membrane_kernel, *given, self._energy)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        given = self._rest, drapes, self._elements, self._unstressed, *self.lame
+        given = self._rest, drapes, self._elements, self._unstressed, self.stiffness
         self._launch(membrane_hessian_kernel, *given, blocks)

@@ -87,7 +87,8 @@ class PhysicsLosses:
         self.cloth = Cloth(garment, material, self.rest, self.rest_row)
         self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
-        self.energies: list[Energy] = [Stretch(self.cloth), self.bend, self.collision, Gravity(self.cloth), self.band]
+        self.stretch = Stretch(self.cloth)
+        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, Gravity(self.cloth), self.band]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(

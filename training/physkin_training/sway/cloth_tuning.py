@@ -19,13 +19,11 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
-from physkin_training.dynamics.scenes import RATE_HZ
-from physkin_training.energies.motion import Dynamics
 from physkin_training.soap import Soap
 from physkin_training.sway.learning import KEPT, SWING, SWINGING, learning_rate, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
-from physkin_training.sway.walker_simulation import SLOWLY, in_one_size
+from physkin_training.sway.walker_simulation import SLOWLY, in_one_size, potential_of_walkers
 from physkin_training.sway.walkers import KEPT_EVERY, Walkers
 from physkin_training.sway.windows import STRIDES, Windows
 
@@ -132,7 +130,7 @@ class _Cloth:
         count, device = len(walkers.bodies), walkers.positions.device
         body = torch.arange(count * DRAPED, device=device) // DRAPED
         self._dressed = DressedSamples(model, body_model, walkers.bodies, body, one_size=in_one_size(count))
-        self._potential = self._dressed.potential(1 / RATE_HZ, Dynamics())
+        self._potential = potential_of_walkers(self._dressed)
         self._skinning = NodeSkinning(self._dressed)
         self.mass = self._potential.time_step.mass.sum(dim=1).mean()
 
