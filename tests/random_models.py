@@ -66,6 +66,18 @@ def tube(*, rings: int = 9, segments: int = 12, radius: float = 0.15, height: fl
     return Garment(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]))
 
 
+def cape(*, rings: int = 40, segments: int = 80) -> Garment:
+    """A cone of cloth from neck to knees about the template body's shoulders and arms, open in front: collar, front
+    edges and hem are one rim."""
+    about = tube(rings=rings, segments=segments, radius=1.0, height=1.0)
+    share = 0.5 - about.vertices[:, 2]
+    angle = 0.35 + (2 * np.pi - 0.7) * (np.arange(len(share)) % segments) / (segments - 1)
+    forward, aside = 0.10 + 0.42 * share**0.6, 0.12 + 0.62 * share**0.45
+    points = np.stack([forward * np.cos(angle) - 0.02, aside * np.sin(angle), 0.56 - 1.05 * share], axis=1)
+    column = about.faces % segments
+    return Garment(points, about.faces[np.ptp(column, axis=1) < 2])
+
+
 def sewn_tube(
     *, columns: int = 6, rings: int = 9, width: float = 0.45, height: float = 0.4, shrunk: float = 0.92
 ) -> Garment:

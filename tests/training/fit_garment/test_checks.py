@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from random_models import tube
+from random_models import cape, tube
 
 from physkin_core import load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
@@ -266,6 +266,16 @@ def test_a_loose_garment_is_not_upside_down(shirt, template):
     assert not checked.refused and outcomes(checked)["scale"] == "warning"
     checked = check_mesh((vertices - middle) * [1.18, -1.18, -1.18] + middle, faces, template, template)
     assert checked.refused and checked.verdicts[-1].check == "upright"
+
+
+def test_a_cape_may_be_far_from_the_body_where_it_hangs_from_the_shoulders(template):
+    """The same cloth 35 cm higher lies nowhere."""
+    cloth = cape()
+    checked = check_mesh(cloth.vertices, cloth.faces, template, template)
+    assert not checked.refused and "mean distance to the body 12" in found(checked, "position")
+    assert outcomes(checked).keys() <= {"edge length", "overlap"}
+    checked = check_mesh(cloth.vertices + [0, 0, 0.35], cloth.faces, template, template)
+    assert checked.refused and checked.verdicts[-1].check == "position"
 
 
 def test_a_garment_of_another_body_is_carried_over(shirt, template):

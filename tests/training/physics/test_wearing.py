@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_models import tube
+from random_models import cape, tube
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
@@ -48,6 +48,16 @@ def test_the_higher_of_two_openings_counts():
     expected = np.flatnonzero(height.max() - height < BAND_WIDTH)
     np.testing.assert_array_equal(worn.band, expected)
     assert len(expected) == 60
+
+
+def test_a_cape_is_held_by_its_collar():
+    """Of a rim that is collar, front edges and hem in one, the upper 10 cm; front edges and hem hang free."""
+    garment = cape()
+    worn = Wearing.of(garment, BODY)
+    band, top = garment.vertices[worn.band], garment.vertices[:, 2].max()
+    assert band[:, 2].max() == top and top - 0.13 < band[:, 2].min() < top - 0.05
+    assert band[:, 1].min() < -0.1 and band[:, 1].max() > 0.1 and band[:, 0].min() < -0.1
+    assert not worn.bare.any() and (worn.far_face < 0).all()
 
 
 def test_a_closed_surface_is_refused():

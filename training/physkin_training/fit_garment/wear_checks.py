@@ -28,6 +28,7 @@ from physkin_training.fit_garment.placement import (
 )
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.physics.wearing import holding_rim
 
 __all__ = [
     "check_body",
@@ -44,6 +45,8 @@ FACING = 0.2
 """How clearly faces must look away from the body on average: -1 to 1."""
 DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 """Overlap that is pushed out: depth [m], share of vertices."""
+TOP, HUNG_WITHIN = 0.05, 0.06
+"""[m] A garment that lies far from the body, as a cape and a poncho do, has at least its top as close as this."""
 HELD, CLOSER = 0.03, 0.01
 """[m] mean distance of the uppermost opening from the body, where the garment fits best; and how much less it is for a
 garment that is held head down only. The shipped garments have up to 0.015."""
@@ -67,7 +70,7 @@ def check_placement(checks: Checks, surface: BodySurface) -> None:
     _place(checks, placed, UNITS["metres"], np.eye(3))
     allowed = "where it is worn on the body, the body's root at the origin or its feet on the floor"
     found = f"mean distance to the body {1000 * placed.cost:.0f} mm"
-    if placed.cost > MOST_COST:
+    if placed.cost > MOST_COST and _top_away(checks.vertices, surface) > HUNG_WITHIN:
         return checks.say("position", "refused", f"{found}: it does not lie on the body anywhere", allowed)
     if placed.shift.any():
         shift = ", ".join(f"{value:.3f}" for value in placed.shift)
@@ -77,6 +80,12 @@ def check_placement(checks: Checks, surface: BodySurface) -> None:
             "position", "warning" if placed.searched else "repaired", f"moved by ({shift}) m; {found}", allowed
         )
     return checks.say("position", "ok", found, allowed)
+
+
+def _top_away(vertices: np.ndarray, surface: BodySurface) -> float:
+    """Mean distance [m] to the body of a garment's uppermost vertices."""
+    height = vertices[:, 2]
+    return float(np.abs(surface.closest(vertices[height >= height.max() - TOP]).distance).mean())
 
 
 def check_lying(checks: Checks, own: OwnPose, own_surface: BodySurface, surface: BodySurface) -> bool:
@@ -131,8 +140,8 @@ def check_upright(checks: Checks, surface: BodySurface) -> None:
     loops, _ = openings_and_holes(checks.vertices, checks.faces)
 
     def held_by(vertices: np.ndarray) -> float:
-        top = max((vertices[loop] for loop in loops), key=lambda points: points[:, 2].mean())
-        return float(np.abs(surface.closest(top).distance).mean())
+        rim = vertices[holding_rim(vertices, loops)]
+        return float(np.abs(surface.closest(rim).distance).mean())
 
     upright, over, cost = turned_over(checks.vertices, surface)
     away, away_over = held_by(upright), held_by(over)

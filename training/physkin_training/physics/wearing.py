@@ -1,4 +1,4 @@
-"""How a garment is worn: which body parts each vertex lies on, and the band of its uppermost opening that holds it up.
+"""How a garment is worn: which body parts each vertex lies on, and the band along a rim that holds it up.
 
 Both are read off a body at the canonical pose, the garment maker's as a rule; other bodies share its mesh.
 Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertices. Metres.
@@ -17,7 +17,7 @@ from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
 
-__all__ = ["Wearing"]
+__all__ = ["Wearing", "holding_rim"]
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""
@@ -34,7 +34,10 @@ GOES_AROUND = 0.3
 FACES_ACROSS = 0.03
 """A limb has a far side where a face of the same part is this close [m] to the near one reflected in the bone."""
 BAND_WIDTH = 0.03
-"""Vertices this close [m] to the uppermost opening make up the band."""
+"""Vertices this close [m] to the rim that holds the garment make up the band."""
+TO_THE_HEM, COLLAR = 0.4, 0.1
+"""A rim that is higher [m] than this is neckline, front edges and hem in one, as that of a cape or a cardigan is: only
+this much of it [m], from its highest point down, holds the garment."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +95,8 @@ class Wearing:
         on_limb = (worn @ limb) @ limb.T > 0
         other_limb = ~on_limb & worn.any(axis=1, keepdims=True) & (outwards > BEHIND * distance)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
-        opening = garment.vertices[_uppermost_opening(garment)]
-        distance, _ = cKDTree(opening).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
+        rim = garment.vertices[holding_rim(garment.vertices, openings(garment.vertices, garment.faces))]
+        distance, _ = cKDTree(rim).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
         band = np.flatnonzero(np.isfinite(distance))
         gap, place = cKDTree(body).query(garment.vertices[band])
         own = near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]]
@@ -145,10 +148,10 @@ def _limbs(parents: np.ndarray) -> np.ndarray:
 
 
 def _left_by(garment: Garment, avatar: Avatar) -> list[tuple[int, np.ndarray]]:
-    """Bones around which an opening goes, each with the opening's vertices (k, 3). The uppermost opening is not one of
-    them: it holds the garment up."""
+    """Bones around which an opening goes, each with the opening's vertices (k, 3). The one that holds the garment up is
+    not one of them."""
     found = []
-    for loop in openings(garment.vertices, garment.faces)[1:]:
+    for loop in _highest_first(garment.vertices, openings(garment.vertices, garment.faces))[1:]:
         rim = garment.vertices[loop]
         centre = rim.mean(axis=0)
         away = _distances_to_bones(centre, avatar.bone_heads, avatar.bone_tails)
@@ -196,9 +199,15 @@ def _distances_to_bones(point: np.ndarray, heads: np.ndarray, tails: np.ndarray)
     return np.linalg.norm(heads + np.clip(share, 0, 1)[:, None] * along - point, axis=1)
 
 
-def _uppermost_opening(garment: Garment) -> np.ndarray:
-    """Vertices of the boundary loop whose centre is highest."""
-    loops = openings(garment.vertices, garment.faces)
+def holding_rim(vertices: np.ndarray, loops: list[np.ndarray]) -> np.ndarray:
+    """Vertices of a mesh, (n, 3) [m], Z up, that hold it on the body: of the loops of its boundary the one that reaches
+    highest, or where that goes down to the hem its uppermost part. Raises ValueError where there is no loop."""
     if not loops:
         raise ValueError("the garment has no opening: every edge has two faces")
-    return loops[0]
+    loop = _highest_first(vertices, loops)[0]
+    height = vertices[loop, 2]
+    return loop[height >= height.max() - COLLAR] if np.ptp(height) > TO_THE_HEM else loop
+
+
+def _highest_first(vertices: np.ndarray, loops: list[np.ndarray]) -> list[np.ndarray]:
+    return sorted(loops, key=lambda loop: -vertices[loop, 2].max())
