@@ -40,6 +40,11 @@ class Avatar:
     accessories: hair, eyes, glasses and the like of its file, on the same bones: for pictures, nothing to garments.
     clothes: what it wears already, a surface each, on the same bones: for pictures; an outfit leaves out what it
     replaces.
+
+    Examples:
+        >>> avatar = physkin.load_avatar("me.glb", physkin.load_garment_model("tshirt").rig)
+        >>> len(avatar.bone_heads), avatar.vertices.shape[1]
+        (36, 3)
     """
 
     vertices: np.ndarray
@@ -89,7 +94,12 @@ def joined_surfaces(avatars: Sequence[Avatar]) -> Avatar:
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
-    """The body of the compact body model with shape coefficients (c,); its rig must be the garment model's."""
+    """The body of the compact body model with shape coefficients (c,); its rig must be the garment model's.
+
+    Examples:
+        >>> bodies = physkin.load_body_model()
+        >>> stranger = physkin.avatar_from_body(bodies, bodies.held_out_bodies[0])
+    """
     coefficients = np.asarray(coefficients, dtype=np.float32)
     expected = (len(body_model.vertex_components),)
     if coefficients.shape != expected or not np.isfinite(coefficients).all():

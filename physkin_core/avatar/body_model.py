@@ -31,6 +31,10 @@ class BodyModel:
     mean_vertices: (V, 3); vertex_components: (c, V, 3). mean_bones: (b, 2, 3) heads and tails; bone_components:
     (c, b, 2, 3). garment_body: (c,) the body the shipped garments were made on. train_bodies, held_out_bodies: (s, c)
     coefficients of sampled adults.
+
+    Examples:
+        >>> bodies = physkin.load_body_model()
+        >>> height = np.ptp(bodies.vertices(bodies.held_out_bodies[0])[:, 2])  # [m]
     """
 
     rig: Rig
@@ -57,7 +61,12 @@ class BodyModel:
 
 @cache
 def load_body_model() -> BodyModel:
-    """Read the compact body file (see `BodyModel`); the result is shared, do not write into it."""
+    """Read the compact body file (see `BodyModel`); the result is shared, do not write into it.
+
+    Examples:
+        >>> physkin.load_body_model().held_out_bodies.shape
+        (64, 32)
+    """
     from safetensors import safe_open
 
     with safe_open(BODY_MODEL_PATH, framework="numpy") as file:

@@ -29,6 +29,11 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
     warning that says so. Clothes over skin are left out; hair, eyes and shoes are `Avatar.accessories`.
     What was assumed or repaired is kept in `Avatar.warnings` and issued as one AvatarWarning each.
     Raises AvatarError naming what is wrong with the file and what was allowed.
+
+    Examples:
+        >>> avatar = physkin.load_avatar("me.glb", physkin.load_garment_model("tshirt").rig)
+        >>> avatar.warnings
+        ()
     """
     path = Path(path)
     with reading(f"avatar {path}", AvatarError):

@@ -31,6 +31,11 @@ class Fabric:
     """stretch: Young's modulus of the cloth [N/m]. bend: stiffness of the dihedral energy [J]. density [kg/m2].
 
     Raises ValueError naming a value that is not above 0.
+
+    Examples:
+        >>> canvas = physkin.Fabric(stretch=400.0, bend=3e-5, density=0.3)
+        >>> physkin.FABRICS["denim"].density
+        0.4
     """
 
     stretch: float
@@ -146,6 +151,11 @@ def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
     A name stands for ratios to jersey, of what the model was trained as; where it has not learnt to bend so, for the
     nearest that it has learnt. Numbers are what they say, and what they leave out is the model's own.
     Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
+
+    Examples:
+        >>> skirt = physkin.made_of(physkin.load_garment_model("skirt"), "denim:navy")
+        >>> canvas = physkin.Fabric(stretch=400.0, bend=3e-5, density=0.3)
+        >>> stiff = physkin.made_of(physkin.load_garment_model("skirt"), canvas)
     """
     if isinstance(fabric, str):
         model = replace(model, fabric=fabric)

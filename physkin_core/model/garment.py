@@ -89,6 +89,11 @@ class Garment:
     the hinges along creases.
     Raises GarmentError on non-finite vertices, missing or degenerate faces, indices out of range, creases that are no
     edges, or panels that are not those of this mesh.
+
+    Examples:
+        >>> garment = physkin.load_garment_model("tshirt").garment
+        >>> garment.vertices.shape[1], bool((garment.edge_lengths > 0).all())  # [m]
+        (3, True)
     """
 
     vertices: np.ndarray = described("vertices", Array("n 3", step=PLACE_STEP))
@@ -200,6 +205,11 @@ def load_garment(path: str | Path) -> Garment:
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
     Line elements of an OBJ are the garment's creases. Its texture places are the panels where they are flat cloth in
     metres, as told by their sizes (`panels_of_texture`).
+
+    Examples:
+        >>> garment = physkin.load_garment("my.obj")
+        >>> garment.vertices.shape[1], garment.panel_places is None
+        (3, False)
     """
     path = Path(path)
     with reading(f"garment {path}", GarmentError):

@@ -52,6 +52,10 @@ class Material:
     cloth that bends from the plane, as woven and knitted cloth does; "as_made" for cloth that bends from the shape of
     its mesh.
     Raises ValueError naming a value that is not a finite number or has no physical meaning, and what is allowed.
+
+    Examples:
+        >>> physkin.load_garment_model("tshirt:denim").material.density
+        0.4
     """
 
     youngs_modulus: float = 200.0
@@ -116,6 +120,11 @@ class GarmentModel(SkinnedGarment):
     network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
     on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
     softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`.
+
+    Examples:
+        >>> model = physkin.load_garment_model("tshirt")
+        >>> model.name, len(model.node_rest), model.rig.joint_names[0]
+        ('tshirt', 128, 'spine05_x')
     """
 
     pose_modulator: tuple[Layer, ...] = described("pose_modulator", Chain("p", "deformer_modulation"))

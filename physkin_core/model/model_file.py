@@ -57,14 +57,20 @@ class ModelFileError(ValueError):
 
 
 def load_garment_model(path: str | Path, *, content: bytes | None = None) -> GarmentModel:
-    """Read and check a garment model; the bare name of a shipped one ("tshirt") means that, whatever files there are.
-    With a colon and a fabric behind it ("skirt:denim", "my.safetensors:bend=1e-4") it is made of that, and with another
-    colon and a colour in that ("skirt:denim:navy", "skirt:#334"), see `made_of`.
-    content: what `model_content` has read of it; None: the file is read.
+    """Read a garment model and check it.
+
+    path: a file, or the name of a shipped garment ("tshirt"), which comes before a file of that name. After a colon it
+    may say which fabric the garment is to be made of ("skirt:denim", "my.safetensors:bend=1e-4"), and after another
+    colon in which colour ("skirt:denim:navy", "skirt:#334"); see `made_of`.
+    content: what `model_content` has read of the file already; None: the file is read.
 
     Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
     an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
     fabric or colour that is unknown, or a fabric that the model has not learnt.
+
+    Examples:
+        >>> tshirt = physkin.load_garment_model("tshirt")
+        >>> jeans = physkin.load_garment_model("trousers:denim:indigo")
     """
     file, fabric = split_fabric(path)
     path = _resolve(file)
@@ -162,6 +168,10 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     """Write a garment model (a checked `GarmentModel`) to `path`, replacing what is there in one step.
 
     Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
+
+    Examples:
+        >>> silk = physkin.load_garment_model("dress:silk")
+        >>> physkin.save_garment_model(silk, "silk_dress.safetensors")
     """
     length = np.linalg.norm(model.rest_normals, axis=1, keepdims=True)
     normals = np.where(np.abs(length - 1) < 0.01, model.rest_normals, model.rest_normals / length)

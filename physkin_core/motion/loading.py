@@ -28,16 +28,29 @@ MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
 
 
 def bundled_motions() -> tuple[str, ...]:
-    """Names of the clips that ship with the package, sorted."""
+    """Names of the clips that ship with the package, sorted.
+
+    Examples:
+        >>> physkin.bundled_motions()
+        ('cartwheel', 'crawl', 'dance', 'jump', 'kick', 'run', 'walk')
+    """
     return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
 
 
 def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) -> Motion:
-    """Read a clip: a bundled name (`bundled_motions`), a file that `save_motion` wrote, motion capture, .bvh or .amc
-    (see `physkin_core.motion.mocap`), as motion of the default rig, or the joint states of a bag: .mcap, .db3 or a
-    folder with `metadata.yaml` (see `physkin_core.motion.bag_motion`). watch: told the share done of motion capture.
+    """Read a motion clip.
+
+    path_or_name: a bundled clip (`bundled_motions`); a file that `save_motion` wrote; motion capture, .bvh or .amc, which
+    becomes motion of the default rig (`physkin_core.motion.mocap`); or a bag with joint states, .mcap, .db3 or a folder
+    with `metadata.yaml` (`physkin_core.motion.bag_motion`).
+    watch: called with the share of motion capture that has been read, 0 to 1.
 
     Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
+
+    Examples:
+        >>> motion = physkin.load_motion("walk")
+        >>> motion.rate_hz, motion.positions.shape
+        (60.0, (77, 52))
     """
     path = Path(path_or_name)
     if path.suffix.lower() in MOCAP_SUFFIXES:

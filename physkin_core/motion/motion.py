@@ -34,6 +34,11 @@ class Motion:
     joint_names: (d,) what the columns of `positions` are, as in `sensor_msgs/JointState`.
     positions: (T, d) float32 [rad]. root_orientation: (T, 4) float32 unit quaternion x, y, z, w, world <- root.
     root_position: (T, 3) float32 [m] root in the world, whose floor is Z = 0. rate_hz: frames a second.
+
+    Examples:
+        >>> walk = physkin.load_motion("walk").looped(10.0).resampled(30.0)
+        >>> walk.frame_count
+        301
     """
 
     joint_names: tuple[str, ...]

@@ -34,10 +34,17 @@ class Draper:
     points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
         space; they have no faces.
     model: the garment model. outfit: that of this one garment.
-    Where the garment does not sit, that joins the `warnings` of `avatar`, and is issued as AvatarWarning.
+    Where the garment does not fit the body, an AvatarWarning says so; `avatar.warnings` keeps it.
     Raises TypeError for anything but a model and an avatar; ValueError for an unknown precision or kind of normals, a
     body of another rig, a fit that is not possible, points that are not this garment's, or normals of faces where there
     are points without any.
+
+    Examples:
+        >>> model = physkin.load_garment_model("tshirt")
+        >>> draper = physkin.Draper(model, physkin.load_avatar("me.glb", model.rig))
+        >>> cloud = draper.drape({"lowerarm01.L_z": -1.0})
+        >>> cloud.shape == (draper.vertex_count, 6)
+        True
     """
 
     def __init__(

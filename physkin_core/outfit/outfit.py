@@ -57,6 +57,12 @@ class Outfit:
     Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
     garment twice, more than four, several rigs, a body of another rig, a tuck or an order that does not go), a fit that
     is not possible, an unknown precision or kind of normals.
+
+    Examples:
+        >>> trousers, tshirt = map(physkin.load_garment_model, ("trousers", "tshirt"))
+        >>> outfit = physkin.Outfit([trousers, tshirt], physkin.load_avatar("me.glb", tshirt.rig))
+        >>> [cloud.shape[1] for cloud in outfit.drape({})]
+        [6, 6]
     """
 
     def __init__(

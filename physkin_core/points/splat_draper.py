@@ -78,6 +78,13 @@ class SplatDraper:
 
     splats: of the garment, in canonical space. fit: as of `Draper`. avatar: the body, with what was warned of.
     Raises ValueError as `Draper` does, and for splats farther than 5 cm from the garment.
+
+    Examples:
+        >>> model = physkin.load_garment_model("tshirt")
+        >>> splats = physkin.Splats(model.garment.vertices[:9], 9 * [[0, 0, 0, 1]], 9 * [[0.004, 0.004, 0.0004]])
+        >>> draper = physkin.SplatDraper(model, physkin.load_avatar("me.glb", model.rig), splats)
+        >>> draper.drape({"lowerarm01.L_z": -1.0}).centres.shape
+        (9, 3)
     """
 
     def __init__(self, model: GarmentModel, avatar: Avatar, splats: Splats, *, fit: float | None = None) -> None:

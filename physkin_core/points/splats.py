@@ -25,6 +25,10 @@ class Splats:
 
     Quaternions of another length are brought to 1. Raises ValueError where a shape is wrong, a value is not finite, a
     quaternion has no length or a scale is not positive.
+
+    Examples:
+        >>> physkin.Splats([[0, 0, 1]], [[0, 0, 0, 1]], [[0.01, 0.01, 0.001]]).covariances().shape
+        (1, 3, 3)
     """
 
     centres: np.ndarray

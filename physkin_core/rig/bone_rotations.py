@@ -34,6 +34,11 @@ class BoneRotations:
     these, to single precision.
     bone_names: (k,) bones that may be given. Raises RigError for an unknown skeleton, and for a rig whose bones have
     joints about axes that are not at right angles.
+
+    Examples:
+        >>> rotations = physkin.BoneRotations(physkin.load_garment_model("tshirt").rig)
+        >>> rotations.joint_positions({"upperarm01.L": (0.0, 0.0, 0.259, 0.966)}).shape
+        (52,)
     """
 
     def __init__(self, rig: Rig, *, skeleton: str = "rig") -> None:

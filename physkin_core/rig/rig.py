@@ -35,6 +35,11 @@ class DegreeOfFreedom:
 
     axis: unit vector in the root frame at the canonical pose. lower, upper: limits [rad]. rest: the scalar's value at
     the canonical pose [rad], so the bone turns by `value - rest`.
+
+    Examples:
+        >>> elbow = next(dof for dof in physkin.load_garment_model("tshirt").rig.dofs if dof.name == "lowerarm01.L_z")
+        >>> elbow.bone, elbow.lower < elbow.upper
+        ('lowerarm01.L', True)
     """
 
     name: str
@@ -52,6 +57,11 @@ class Rig:
     bone_names: (b,), a parent before its children. parents: (b,) int32, -1 for the root (bone 0).
     heads, tails: (b, 3) [m], joint centre and far end of each bone at the canonical pose, root frame.
     dofs: degrees of freedom; several on one bone compose in listed order (intrinsic rotations).
+
+    Examples:
+        >>> rig = physkin.load_garment_model("tshirt").rig
+        >>> rig.bone_transforms(rig.joint_positions({"lowerarm01.L_z": -1.0})).shape
+        (36, 3, 4)
     """
 
     bone_names: tuple[str, ...]

@@ -24,7 +24,11 @@ __all__ = ["Layer", "WornGarment"]
 @dataclass(frozen=True)
 class WornGarment:
     """A garment and how it is to be worn. tucked: its hem goes under the waistband of the next layer that is not
-    tucked. fit: as of `Outfit`; None: the outfit's."""
+    tucked. fit: as of `Outfit`; None: the outfit's.
+
+    Examples:
+        >>> tucked = physkin.WornGarment(physkin.load_garment_model("tshirt"), tucked=True)
+    """
 
     model: GarmentModel
     tucked: bool = False
@@ -42,6 +46,12 @@ class Layer:
     sees it. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
     hidden: (n,) bool, what is covered in all everyday poses. visible: (v,) int32, the vertices that are given; given:
     the bound garment of these. moved: whether vertices are moved after skinning, to keep the order of layers or a tuck.
+
+    Examples:
+        >>> model = physkin.load_garment_model("tshirt")
+        >>> layer = physkin.Outfit([model], physkin.load_avatar("me.glb", model.rig)).layers[0]
+        >>> layer.name, layer.fit
+        ('tshirt', 1.0)
     """
 
     model: SkinnedGarment

@@ -68,6 +68,11 @@ class LimbSeparator:
     what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
     The result depends on the pose alone, continuously, so that motion that is smooth stays so.
     Raises ValueError for a body of another rig, a rig or body in which no arm or leg is found.
+
+    Examples:
+        >>> rig = physkin.load_garment_model("tshirt").rig
+        >>> separator = physkin.LimbSeparator(rig, physkin.load_avatar("me.glb", rig))
+        >>> positions, largest_change = separator.separate(rig.rest)
     """
 
     def __init__(self, rig: Rig, avatar: Avatar) -> None:

@@ -52,6 +52,12 @@ class FrameInput:
     for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
 
     First say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame.
+
+    Examples:
+        >>> frame_input = physkin.FrameInput([False])
+        >>> frame_input.fill(time=0.0, root=np.array([0, 0, 0.9, 0, 0, 0, 1]))
+        >>> frame_input.rows.shape
+        (1, 14)
     """
 
     def __init__(self, networks: Sequence[bool]) -> None:
