@@ -40,9 +40,9 @@ def bundled_motions() -> tuple[str, ...]:
 def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) -> Motion:
     """Read a motion clip.
 
-    path_or_name: a bundled clip (`bundled_motions`); a file that `save_motion` wrote; motion capture, .bvh or .amc, which
-    becomes motion of the default rig (`physkin_core.motion.mocap`); or a bag with joint states, .mcap, .db3 or a folder
-    with `metadata.yaml` (`physkin_core.motion.bag_motion`).
+    path_or_name: a bundled clip (`bundled_motions`); a file that `save_motion` wrote; motion capture, .bvh or .amc,
+    which becomes motion of the default rig (`physkin_core.motion.mocap`); or a bag with joint states, .mcap, .db3 or a
+    folder with `metadata.yaml` (`physkin_core.motion.bag_motion`).
     watch: called with the share of motion capture that has been read, 0 to 1.
 
     Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.

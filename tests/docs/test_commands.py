@@ -7,16 +7,10 @@ from dataclasses import fields
 from importlib import import_module
 
 import pytest
-from test_docs import DOCUMENTS
+from documents import DOCUMENTS, name_of
 
 from import_graph import ROOT
 from physkin_core import cli
-
-
-def name_of(document):
-    """As tests are told apart."""
-    return str(document.relative_to(ROOT))
-
 
 MANY = {"--ros-args", "--help", "--debug"}
 """Options that every command or ROS has."""
