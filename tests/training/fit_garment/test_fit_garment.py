@@ -220,8 +220,9 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
 @pytest.mark.parametrize(
     ("energies", "words"),
     [
-        ([4.0, 3.0, 2.0, 1.5, 1.0], "went from 2.0000 to 1.0000 J (-50.0 %): still falling, train longer"),
-        ([4.0, 1.0, 1.01, 1.0, 1.0], "(-1.0 %): a longer run would gain little"),
+        ([4.0, 3.0, 2.0, 1.5, 1.0], "A longer run is worth while: over the last 25 % of the steps"),
+        ([4.0, 3.0, 2.0, 1.5, 1.0], "went from 2.0000 to 1.0000 J (-50.0 %)"),
+        ([4.0, 1.0, 1.01, 1.0, 1.0], "A longer run would gain little: over"),
         ([4.0], "Too short a run"),
         ([], "Too short a run"),
     ],
@@ -229,6 +230,17 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
 def test_the_report_says_whether_to_train_longer(energies, words):
     rows = [{"step": 100 * (k + 1), "validation_energy": energy} for k, energy in enumerate(energies)]
     assert words in training_record.longer_or_not([{"step": 50}, *rows])
+
+
+def test_the_report_says_what_was_taken_over_and_what_was_learnt():
+    rows = [{"step": step, "validation_energy": energy} for step, energy in ((0, 3.6), (100, 1.7), (200, 1.8))]
+    begun = {"started_from": {"carried_from": "hoodie"}}
+    assert "began with the shipped hoodie" in training_record.taken_over(begun)
+    assert "began with nothing" in training_record.taken_over({})
+    assert "that of step 100, of the least energy measured, 1.7000 J; the first one was 3.6000 J" in (
+        training_record.learnt(begun, rows)
+    )
+    assert training_record.learnt({}, []).startswith("Learnt from scratch")
 
 
 @pytest.mark.parametrize(("steps", "strain", "few"), [(171, 4.0, True), (9000, 11.8, True), (9000, 5.0, False)])
@@ -252,6 +264,8 @@ def test_a_late_report_has_no_pictures(write_vest, tmp_path):
     page = write_vest(TimeBudget(1e-9))
     assert "<img" not in page and "contact-sheet vest.safetensors" in page and "plain skinning" in page
     assert ">undertrained</span> After 5 steps" in page and ":--" not in page
+    assert page.index("In short") < page.index("began with nothing") < page.index("a &lt; b") < page.index("Figures")
+    assert "0 checks found nothing amiss" in page
     assert not (tmp_path / "vest.png").exists()
 
 

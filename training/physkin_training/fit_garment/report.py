@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +25,14 @@ from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import (
+    learnt,
     longer_or_not,
     loss_curve,
     read_losses,
     taken_over,
     undertrained,
 )
-from physkin_training.fit_garment.verdicts import COLUMNS
+from physkin_training.fit_garment.verdicts import COLUMNS, Verdict
 
 __all__ = [
     "badge",
@@ -106,7 +107,9 @@ def write_report(
         f"<h1>{html.escape(model.name)}</h1>",
         f"<p>{len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes; trained for "
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
+        "<h2>In short</h2>",
         *([f"<p>{badge('undertrained', 'warning')} {html.escape(too_short)}</p>"] if too_short else []),
+        _in_short(scores, model.training, rows),
         "<h2>The mesh</h2>",
         _verdicts(checked),
         *([] if worn is None else [_how_it_sits(worn)]),
@@ -114,9 +117,7 @@ def write_report(
         f"<h2>Figures</h2><p>{counts}.</p>",
         html_table(table(scores)),
         "<h2>Training</h2>",
-        f"<p>{html.escape(taken_over(model.training, rows))}</p>",
         loss_curve(rows),
-        f"<p>{longer_or_not(rows)}</p>",
     ]
     path.write_text(html_page(model.name, parts), encoding="utf-8")
     return scores
@@ -165,13 +166,33 @@ def _note(text: str) -> str:
     return f'<p class="note">No pictures: {html.escape(text)}</p>'
 
 
+def _in_short(scores: dict, training: Mapping, rows: list[dict]) -> str:
+    """How good the model is, what it began with, what it learnt and whether longer would help: a list."""
+    model, plain = scores["model"], scores["skinning"]
+    good = (
+        f"In any pose that the joints allow, edges of the cloth are {model['edge_strain_percent']:.1f} % longer or "
+        f"shorter than at rest on average ({plain['edge_strain_percent']:.1f} % where cloth only follows the bones), "
+        f"and {model['inside_percent']:.1f} % of its vertices are inside the body. In everyday poses it is less."
+    )
+    said = (good, taken_over(training), learnt(training, rows), longer_or_not(rows))
+    return "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in said) + "</ul>"
+
+
 def _verdicts(checked: CheckedGarment) -> str:
-    rows = [
-        [html.escape(verdict.check), badge(verdict.outcome, verdict.outcome)]
-        + [html.escape(text) for text in (verdict.found, verdict.allowed)]
-        for verdict in checked.verdicts
-    ]
-    return tabulate(rows, COLUMNS, tablefmt="unsafehtml")
+    """What was found or mended; below, folded up, the checks that found nothing."""
+
+    def rows(verdicts: Sequence[Verdict]) -> str:
+        cells = [
+            [html.escape(verdict.check), badge(verdict.outcome, verdict.outcome)]
+            + [html.escape(text) for text in (verdict.found, verdict.allowed)]
+            for verdict in verdicts
+        ]
+        return tabulate(cells, COLUMNS, tablefmt="unsafehtml")
+
+    ok = [verdict for verdict in checked.verdicts if verdict.outcome == "ok"]
+    others = [verdict for verdict in checked.verdicts if verdict.outcome != "ok"]
+    shown = rows(others) if others else ""
+    return f"{shown}<details><summary>{len(ok)} checks found nothing amiss</summary>{rows(ok)}</details>"
 
 
 def html_table(markdown: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-__all__ = ["longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "taken_over", "undertrained"]
+__all__ = ["learnt", "longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "taken_over", "undertrained"]
 
 LAST, STILL_FALLING = 0.25, 3.0
 """Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
@@ -36,8 +36,8 @@ def loss_curve(rows: list[dict]) -> str:
     figure.savefig(picture, format="svg")
     svg = picture.getvalue()
     return (
-        "<p>Stretch and contact energy of the median pose; it rises while the poses' range grows.</p>"
-        + svg[svg.index("<svg") :]
+        "<p>Stretch and contact energy of the median pose. In a run from nothing it rises at first: the poses' range "
+        "grows.</p>" + svg[svg.index("<svg") :]
     )
 
 
@@ -52,26 +52,34 @@ def longer_or_not(rows: list[dict]) -> str:
         return "Too short a run to say whether a longer one is worth while."
     before, last = earlier[-1], measured[-1][1]
     fell = 100 * (before - last) / before
-    advice = "still falling, train longer" if fell > STILL_FALLING else "a longer run would gain little"
+    advice = "A longer run is worth while" if fell > STILL_FALLING else "A longer run would gain little"
     return (
-        f"Over the last {100 * LAST:g} % of the steps the energy on the validation poses went from {before:.4f} to "
-        f"{last:.4f} J ({-fell:+.1f} %): {advice}."
+        f"{advice}: over the last {100 * LAST:g} % of the steps the energy of the cloth in poses that are only "
+        f"measured, not trained on, went from {before:.4f} to {last:.4f} J ({-fell:+.1f} %)."
     )
 
 
-def taken_over(training: Mapping, rows: list[dict]) -> str:
-    """What a run began with, and how far it came from there, in words; "" of one that began with nothing.
-
-    training: of its model. rows: of its `losses.jsonl`.
-    """
+def taken_over(training: Mapping) -> str:
+    """What a run began with, in words. training: of its model."""
     if not (start := training.get("started_from", {}).get("carried_from")):
-        return ""
-    energies = [row["validation_energy"] for row in rows if "validation_energy" in row]
-    fell = f" The energy on the validation poses was {energies[0]:.4f} J at first." if energies else ""
+        return "Training began with nothing: everything the model knows was learnt on this mesh."
     return (
-        f"Garment nodes, networks and detail were taken over from {start}; they, the skinning weights and those for "
-        f"engines were learnt on.{fell}"
+        f"Training began with the shipped {start}: its garment nodes, which carry the cloth, its networks, which move "
+        "them by pose and body, and its folds between the nodes were taken over."
     )
+
+
+def learnt(training: Mapping, rows: list[dict]) -> str:
+    """What a run learnt, in words. training: of its model. rows: of its `losses.jsonl`."""
+    begun = "carried_from" in training.get("started_from", {})
+    what = "the networks and folds, and which node holds which part of your mesh how strongly (skinning weights)"
+    said = f"Learnt {'on, from there' if begun else 'from scratch'}: {what}."
+    measured = [(row["validation_energy"], row["step"]) for row in rows if "validation_energy" in row]
+    if not measured:
+        return said
+    energy, step = min(measured)
+    first = f"; the first one was {measured[0][0]:.4f} J" if len(measured) > 1 else ""
+    return f"{said} The model is that of step {step:,}, of the least energy measured, {energy:.4f} J{first}."
 
 
 def undertrained(scores: Mapping, steps: int, *, begun: bool = False) -> str:
@@ -84,9 +92,9 @@ def undertrained(scores: Mapping, steps: int, *, begun: bool = False) -> str:
         return ""
     return (
         f"After {steps:,} steps the edges of the cloth are {model:.1f} % longer or shorter than at rest on average, "
-        f"and {skinning:.1f} % where the cloth only follows the bones (plain skinning). A garment that has trained for "
-        "some 10,000 steps has a quarter to a half of that. Train it for 15 minutes on a GPU, or a night or more on a "
-        "CPU."
+        f"and {skinning:.1f} % where the cloth only follows the bones (plain skinning). A trained garment has a "
+        "quarter to a half of that, after some 10,000 steps from nothing. Train it for 15 minutes on a GPU, or a night "
+        "or more on a CPU."
     )
 
 
