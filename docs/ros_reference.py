@@ -20,18 +20,24 @@ REFERENCE = ROOT / "docs" / "ros-reference.md"
 INTERFACES = ROOT / "msg_defs"
 HEAD = """# ROS reference
 
-Made from the code by `python docs/ros_reference.py`. How the parts work together: [The ROS node](node.md).
+Every parameter, topic, message and service of the node, to look up. [The ROS node](node.md) explains how they work
+together, and `physkin node --help` prints parameters and topics. This page is made from the code by
+`python docs/ros_reference.py`.
 
 ## Parameters
 
-Those that may change while the node runs are marked \\*; all others are fixed once it is configured. Lengths are in
-metres, angles in radians, times in seconds, where no other unit is given.
+```
+physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=0.5
+```
+
+Parameters marked \\* may change while the node runs; all others are fixed once it is configured. Where no unit is
+given, lengths are in metres, angles in radians and times in seconds.
 """
 TYPES = {"str": "text", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
 PARTS = (
     ("Of the node", "", NodeSettings),
-    ("Of each avatar", "With one avatar at the top, with several `avatars.ID.KEY`.", AvatarSettings),
-    ("Of each garment", "With one garment at the top, else `avatars.ID.garments.NAME.KEY`.", GarmentSettings),
+    ("Of each avatar", "For a single avatar `KEY`, for several `avatars.ID.KEY`.", AvatarSettings),
+    ("Of each garment", "For a single garment `KEY`, otherwise `avatars.ID.garments.NAME.KEY`.", GarmentSettings),
 )
 
 
@@ -71,14 +77,14 @@ def _default(value: object) -> str:
 def _range(setting: Setting) -> str:
     if setting.choices:
         return ", ".join(f"`{choice}`" if choice else "empty" for choice in setting.choices)
-    return f"{setting.low:g} to {setting.high:g}" if abs(setting.low) < float("inf") else ""
+    return f"{setting.low:.9g} to {setting.high:.9g}" if abs(setting.low) < float("inf") else ""
 
 
 def _topics() -> Iterator[str]:
     yield "## Topics and services\n"
     yield (
-        "With several avatars, what is named without `~` is below the avatar's `ID`, and a garment's topics are below "
-        "`~/ID/NAME`. Types of `physkin_msgs` need that package; all else works without.\n"
+        "With several avatars, names without `~` are below the avatar's `ID`, and a garment's topics are below "
+        "`~/ID/NAME`. Types of `physkin_msgs` need that package; everything else works without it.\n"
     )
     yield "| | name | type | | only with |\n|---|---|---|---|---|"
     for topic in TOPICS:

@@ -50,23 +50,23 @@ GARMENT = Topic(
     "~/garment",
     "out",
     "sensor_msgs/PointCloud2",
-    "x, y, z [m] and normal_x, normal_y, normal_z, float32, in the body's root frame; stamp of the joint state; "
-    "never a value that is not finite",
+    "cloth: x, y, z [m] and normal_x, normal_y, normal_z of each vertex, float32, always finite, in the body's root "
+    "frame, with the stamp of the joint state",
 )
 SPLATS = Topic(
     "~/splats",
     "out",
     "sensor_msgs/PointCloud2",
-    "the splats of points, draped, 28 bytes each, to readers only: x, y, z [m], float32; rot_x, rot_y, rot_z, "
-    "rot_w, a unit quaternion, int16 in 1/32767; scale_0, scale_1, scale_2, int16, natural logarithms of standard "
-    "deviations [m] in 1/1000",
+    "the splats of the parameter points, draped, 28 bytes each, while somebody reads them: x, y, z [m], float32; "
+    "rot_x, rot_y, rot_z, rot_w, a unit quaternion, int16 in units of 1/32767; scale_0, scale_1, scale_2, natural "
+    "logarithms of standard deviations [m], int16 in units of 1/1000",
     needs="points",
 )
 SPLAT_LOOK = Topic(
     "~/splat_look",
     "out",
     "sensor_msgs/PointCloud2",
-    "what else the file says of each splat, under its names (opacity, f_dc_0, ...), in the same order; latched, once",
+    "everything else in the file about each splat, under its own names (opacity, f_dc_0, ...); sent once, latched",
     needs="points",
 )
 MARKER = Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker")
@@ -74,16 +74,20 @@ MESH = Topic(
     "~/mesh",
     "out",
     "physkin_msgs/GarmentMesh",
-    "faces, rest vertices, skinning weights, detail, which vertices are given; latched, again when any of it changes",
+    "what stays the same from frame to frame: triangles, rest vertices, skinning weights; latched, and sent again when "
+    "any of it changes",
 )
 GARMENT_NODES = Topic(
     "~/garment_nodes",
     "out",
     "physkin_msgs/GarmentNodes",
-    "6 KB a frame instead of 90 to 150, for readers that skin by themselves, normals by the cofactors of the blend",
+    "a frame in 6 KB instead of 90 to 150, for readers that skin the cloth themselves",
 )
 JOINT_STATES = Topic(
-    "joint_states", "in", "sensor_msgs/JointState", "pose of the body: joints in any order [rad], some or all"
+    "joint_states",
+    "in",
+    "sensor_msgs/JointState",
+    "pose of the body: joints by name in any order, all or some [rad]",
 )
 BONE_ROTATIONS = Topic(
     "bone_rotations",
@@ -95,25 +99,25 @@ EFFECTIVE_GRAVITY = Topic(
     "~/effective_gravity",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "what an accelerated root feels: gravity less its acceleration [m/s2] in the body's root frame, zero in free "
-    "fall, at most 29.4 long; takes gravity's place for 0.5 s",
+    "gravity less the acceleration of the root [m/s2], in the body's root frame: zero in free fall, at most 29.4 "
+    "long. Takes the place of gravity for 0.5 s",
 )
 DRAPED_JOINT_STATES = Topic(
     "~/joint_states",
     "out",
     "sensor_msgs/JointState",
-    "joint positions that were draped [rad], for whoever draws the body; stamp of the joint state",
+    "the joint positions that were draped [rad], for drawing the body; with the stamp of the joint state",
     needs="separate_limbs",
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "out",
     "diagnostic_msgs/DiagnosticArray",
-    "once a second, as text: rates, rejections and why, times of the evaluation, how each garment sits",
+    "once a second, as text: rates, what was refused and why, times, how each garment sits",
 )
 STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second")
-SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "another body while running")
-SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "another garment while running")
+SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "puts another body under the garments")
+SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "puts another garment on")
 
 TOPICS = (
     JOINT_STATES,
@@ -122,38 +126,50 @@ TOPICS = (
         "gravity",
         "in",
         "geometry_msgs/Vector3Stamped",
-        "direction of gravity in the body's root frame, any length but zero; joint states are draped with the latest, "
-        "so send it before them",
+        "direction of gravity in the body's root frame, of any length but zero. Send it before the joint state that it "
+        "belongs to",
         needs="orientation: gravity",
     ),
     Topic(
         "pose",
         "in",
         "geometry_msgs/PoseStamped",
-        "the body's root in an upright frame, in place of gravity; tells sway how it moves",
+        "where the body's root is, in a frame whose Z is up: gives gravity, and lets cloth sway",
         needs="orientation: pose",
     ),
     Topic(
         "odometry",
         "in",
         "nav_msgs/Odometry",
-        "as pose; twist and covariance are not read",
+        "the same as pose; its twist and covariance are not read",
         needs="orientation: odometry",
     ),
-    Topic("/tf", "in", "tf2_msgs/TFMessage", "as pose: the way from world_frame to frame_id", needs="orientation: tf"),
-    Topic("/tf_static", "in", "tf2_msgs/TFMessage", "what of that way never changes", needs="orientation: tf"),
+    Topic("/tf", "in", "tf2_msgs/TFMessage", "the same as pose, from world_frame to frame_id", needs="orientation: tf"),
+    Topic(
+        "/tf_static",
+        "in",
+        "tf2_msgs/TFMessage",
+        "those parts of it that never change",
+        needs="orientation: tf",
+    ),
     Topic(
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU mounted like the root, in place of gravity: its orientation, or without one what it feels; and its "
-        "linear acceleration (at rest 9.81 m/s2 up), smoothed, as effective gravity",
+        "an IMU that is mounted like the root: its orientation gives gravity, and its linear acceleration (at rest "
+        "9.81 m/s2 up), smoothed, lets cloth lean. Without an orientation the acceleration gives both",
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,
     GARMENT,
     DRAPED_JOINT_STATES,
-    Topic("/tf", "out", "tf2_msgs/TFMessage", "frame_id in the frame of its pose, with its stamp", needs="publish_tf"),
+    Topic(
+        "/tf",
+        "out",
+        "tf2_msgs/TFMessage",
+        "frame_id, in the frame of its pose",
+        needs="publish_tf",
+    ),
     SPLATS,
     SPLAT_LOOK,
     MARKER,

@@ -73,39 +73,40 @@ class GarmentSettings:
     name: str
     model: str = _key(
         "tshirt",
-        "garment model: a .safetensors file, or the name of a shipped one, with a fabric behind it as skirt:denim or "
-        "skirt:bend=2e-5+density=0.18; without avatars also several, joined by commas, from the skin outwards",
+        "garment to wear: a shipped name or a .safetensors file, in another fabric and colour as in "
+        "skirt:denim:navy or skirt:bend=2e-5+density=0.18. Without avatars also several, joined by commas, from "
+        "the skin outwards",
         changes=True,
         may_be_empty=False,
     )
-    tucked: bool = _key(False, "wear its hem under the waistband of the next garment outwards that is not tucked")
+    tucked: bool = _key(False, "tuck its hem into the waistband of the next garment outwards that is not tucked itself")
     precision: str = _key(
         "",
-        "of the network weights: fp32, bf16 or int8, each faster and coarser than the last; default int8",
+        "precision of the network weights: fp32, bf16 or int8, each faster and coarser than the one before. "
+        "Empty: int8",
         choices=("", *PRECISIONS),
     )
     fit: float | None = _key(
         None,
-        "1: made to measure for this body; 0: the garment's one size; or between. Above 0 only for models with the "
-        "body model's rig. Empty: 1 for those, 0 for others",
+        "1: made to measure for this body, 0: the garment's one size, or between. Above 0 only for models with "
+        "the body model's rig. Empty: 1 for those, 0 for others",
         low=0,
         high=1,
     )
-    sway: float | None = _key(
-        None, "of this garment, in place of that of its avatar (above). Empty: as that", changes=True, low=0, high=1
-    )
+    sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
     normals: str = _key(
         "skinned",
-        "skinned: carried along with the cloth; faces: of the draped mesh, truer, for some 2 ns a vertex",
+        "skinned: normals are carried along with the cloth; faces: computed from the draped mesh, truer, for "
+        "about 2 ns a vertex",
         choices=NORMALS,
     )
-    namespace: str = _key("", "what the garment's topics are below; default ~, with avatars ~/ID/NAME")
+    namespace: str = _key("", "where the garment's topics are. Empty: ~, with avatars ~/ID/NAME")
     points: str = _key(
         "",
-        "PLY file of Gaussian splats that lie on this garment, as physkin bind-points takes it: ~/splats carries them "
-        "draped; for one garment, or with avatars and outfit false",
+        "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; ~/splats publishes "
+        "them draped. For a single garment, or with avatars and outfit false",
     )
-    marker: bool = _key(False, "publish a visualization_msgs/Marker TRIANGLE_LIST too, for RViz")
+    marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
 
     @property
     def file(self) -> str:
@@ -120,107 +121,111 @@ class AvatarSettings:
     prefix: str
     id: str
     garments: tuple[GarmentSettings, ...]
-    joint_states: str = _key("", "topic of sensor_msgs/JointState; default: joint_states, with avatars ID/joint_states")
+    joint_states: str = _key("", "topic of sensor_msgs/JointState. Empty: joint_states, with avatars ID/joint_states")
     bone_rotations: str = _key(
         "",
-        "topic of sensor_msgs/MultiDOFJointState, rotations of bones instead of joint states; default: bone_rotations, "
-        "with avatars ID/bone_rotations",
+        "topic of sensor_msgs/MultiDOFJointState: rotations of bones in place of joint states. Empty: "
+        "bone_rotations, with avatars ID/bone_rotations",
     )
     body_mesh: str = _key(
-        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file; empty: the bundled avatar", changes=True
+        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. Empty: the bundled avatar", changes=True
     )
     body_rig: str = _key(
         "",
-        "rig file of a body_mesh that has no skin of its own; empty: NAME.rig.json beside it, if there",
+        "rig file of a body_mesh without a skin. Empty: NAME.rig.json beside it, if there is one",
         changes=True,
     )
     joint_map: str = _key(
         "",
-        "JSON file from incoming joint names to those of the rig; ros4hri for bodies of REP-155, vrm for VRM humanoid "
-        "bones (both: default rig only); empty: the names are the rig's",
+        "names of incoming joints: ros4hri (REP-155), vrm (VRM humanoid bones), or a JSON file that maps them to "
+        "the rig's. Empty: they are the rig's own names",
     )
     missing_joints: str = _key(
         "last",
-        "joints that a message does not name keep their last position, or go back to the neutral one",
+        "joints that a message leaves out: last keeps their position, neutral puts them back to rest",
         choices=("last", "neutral"),
     )
     frame_id: str = _key(
         "",
-        "TF frame the clouds are given in: the body's root, X forward, Y left, Z up; default base_link, with avatars "
-        "ID, with discover body_ID",
+        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link, with avatars ID, with "
+        "discover body_ID",
     )
     gravity: tuple[float, ...] = _key(
         UPRIGHT_GRAVITY.tolist(),
-        "direction of gravity in the body's root frame until the orientation source gives one",
+        "direction of gravity in the body's root frame, until the orientation source gives one",
         changes=True,
     )
     orientation: str = _key(
         "gravity",
-        "what tells the direction of gravity: gravity (topic, Vector3Stamped), joints (of the joint states) or fixed; "
-        "and what also tells how the root moves: pose (topic, PoseStamped of the root in an upright frame), odometry "
-        "(topic, Odometry of the root in one), imu (topic, Imu in the root frame) or tf",
+        "where gravity comes from: gravity (a topic of Vector3Stamped), joints (roll and pitch in the joint "
+        "states) or fixed (the parameter gravity); or from where the root is, which also lets cloth sway: pose "
+        "(PoseStamped), odometry (Odometry), tf, or imu (Imu)",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
-        "", "topic of orientation gravity, pose, odometry or imu; default: its name, with avatars ID/gravity and so on"
+        "",
+        "topic for orientation gravity, pose, odometry or imu. Empty: a topic of that name, with avatars "
+        "ID/gravity and so on",
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
     )
     effective_gravity_topic: str = _key(
         "",
-        "topic of what an accelerated root feels: gravity less the root's acceleration, root frame [m/s2]. While it "
-        "comes it takes the place of the direction; default ~/effective_gravity, with avatars ~/ID/effective_gravity",
+        "topic of gravity less the root's acceleration [m/s2], in the root frame; while it comes, it takes the "
+        "place of gravity. Empty: ~/effective_gravity, with avatars ~/ID/effective_gravity",
     )
     sway: float = _key(
         1.0,
-        "how much cloth lags, swings and settles as pose, odometry or tf move the root, or leans as an IMU says: 1 "
-        "all, 0 not at all, each joint state draped by itself",
+        "how much cloth lags, swings and settles as the root moves (pose, odometry, tf), or leans (imu): 0 to 1. "
+        "At 0 each joint state is draped by itself",
         changes=True,
         low=0,
         high=1,
     )
     imu_delay: float = _key(
         USUAL_DELAY,
-        "[s] time constant of the first-order low pass that the acceleration of an IMU goes through; cloth follows "
-        "slow changes late by as much. 0: none",
+        "[s] time constant by which the acceleration of an IMU is smoothed; cloth follows it late by as much. 0: "
+        "not at all",
         low=0,
         high=5,
     )
     world_frame: str = _key(
         "world",
-        "upright TF frame, for orientation tf; and for publish_tf, where a pose names no frame",
+        "upright frame: for orientation tf, and for publish_tf if a pose names no frame",
         may_be_empty=False,
     )
     publish_tf: bool = _key(
         False,
-        "publish TF from the frame of each pose (orientation pose or odometry) to frame_id; only where nobody else "
-        "does, as a frame has one parent",
+        "publish each pose (orientation pose or odometry) as TF to frame_id. Only if nobody else does, as a frame "
+        "has one parent",
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] clouds interpolated between joint states, one joint state late; 0: one cloud a joint state",
+        "[Hz] publish clouds at this rate, interpolated between joint states and one joint state late. 0: one "
+        "cloud for each joint state",
         low=0,
         high=1000,
     )
     separate_limbs: bool = _key(
         False,
-        "move arms and legs out of the trunk and of each other, on this body, before draping; ~/joint_states, with "
-        "avatars ~/ID/joint_states, carries the positions that were draped",
+        "move arms and legs out of the trunk and of each other before draping; ~/joint_states (with avatars "
+        "~/ID/joint_states) then carries the positions that were draped",
     )
     outfit: bool = _key(
         True,
-        "wear several garments over each other, in their order from the skin outwards; false: drape each by itself",
+        "wear several garments over each other, from the skin outwards; false: drape each by itself",
     )
     layers: tuple[str, ...] = _key(
-        [""], "names of the garments from the skin outwards; default: in the order they are given in"
+        [""], "names of the garments from the skin outwards. Empty: the order they are given in"
     )
     hide: bool = _key(
-        True, "of an outfit, leave out of the clouds what its outer layers cover in everyday poses; false: give all"
+        True,
+        "leave out of the clouds what the outer layers of an outfit cover in everyday poses; false: give all vertices",
     )
     discover: str = _key(
         "",
-        "ros4hri: an avatar for every body on /humans/bodies/ID/joint_states, as they come and go",
+        "ros4hri: dress every body on /humans/bodies/ID/joint_states, as they come and go",
         choices=("", "ros4hri"),
     )
 
@@ -239,31 +244,31 @@ class NodeSettings:
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],
-        "folders that bodies and garments may be swapped for while running; default: those of the files the node "
-        "started with. Shipped garments and the bundled avatar are always allowed",
+        "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that "
+        "it started with. Shipped garments and the bundled avatar are always allowed",
     )
     load_seconds: float = _key(
         LOAD_SECONDS,
-        "[s] that loading a body with its garments may take; then it is refused, and what is worn stays",
+        "[s] that loading a body with its garments may take before it is refused; what is worn stays on",
         low=1,
         high=3600,
     )
     load_memory: int = _key(
         LOAD_MEMORY,
-        "[MiB] that loading may take beyond what the process that loads has at its start",
+        "[MiB] of memory that loading may take on top of what its process has at the start",
         low=64,
         high=1 << 20,
     )
     deadline: float = _key(
         0.0,
-        "[s] from a joint state's arrival to its last cloud; what takes longer is counted. 0: none",
+        "[s] from the arrival of a joint state to its last cloud; what takes longer is counted. 0: none",
         changes=True,
         low=0,
         high=60,
     )
-    most_bodies: int = _key(8, "bodies dressed at a time by an avatar with discover; later ones wait", low=1, high=64)
+    most_bodies: int = _key(8, "bodies that an avatar with discover dresses at a time; later ones wait", low=1, high=64)
     clear_shared_memory: bool = _key(
-        False, "at the start, delete what killed Fast DDS processes of this user left in /dev/shm"
+        False, "at the start, delete what killed Fast DDS processes of this user left behind in /dev/shm"
     )
 
 
