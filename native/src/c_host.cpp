@@ -1,17 +1,13 @@
 // The plain C interface of include/physkin.h.
 #include <algorithm>
-#include <cstddef>
-#include <cstdio>
-#include <cstring>
 #include <fstream>
 #include <memory>
-#include <new>
 #include <string>
 #include <vector>
 
+#include "c_interface.hpp"
 #include "evaluator/evaluator.hpp"
 #include "file_format/bound_file.hpp"
-#include "file_format/tensor_file.hpp"
 #include "kernels/dispatch.hpp"
 #include "physkin.h"
 #include "sway/frame_input.hpp"
@@ -60,78 +56,24 @@ struct physkin_garment {
   std::int32_t vertex_count = 0;
 };
 
+using physkin::c_interface::fail;
+using physkin::c_interface::guarded;
+using physkin::c_interface::Wanted;
+
 namespace {
-
-// Of fixed size: telling what is wrong allocates nothing either.
-thread_local char last_error[512] = "";
-
-template <class... Values>
-physkin_status fail(physkin_status status, const char* format, Values... values) {
-  std::snprintf(last_error, sizeof last_error, format, values...);
-  return status;
-}
-
-// Any exception of `work` as a status.
-template <class Work>
-physkin_status guarded(Work work) noexcept {
-  try {
-    return work();
-  } catch (const physkin::FileError& error) {
-    return fail(PHYSKIN_BAD_FILE, "%s", error.what());
-  } catch (const std::invalid_argument& error) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "%s", error.what());
-  } catch (const std::bad_alloc&) {
-    return fail(PHYSKIN_OUT_OF_MEMORY, "%s", "out of memory");
-  } catch (const std::exception& error) {
-    return fail(PHYSKIN_FAILED, "%s", error.what());
-  } catch (...) {
-    return fail(PHYSKIN_FAILED, "%s", "unknown failure");
-  }
-}
 
 physkin_status bad_joint(const physkin_garment* garment, int32_t joint) {
   return fail(PHYSKIN_BAD_ARGUMENT, "joint is %d; must be from 0 to %d", int(joint), garment->evaluator.dofs() - 1);
 }
 
-struct Wanted {
-  const physkin::Kernels* kernels;
-  physkin::EvaluatorOptions options;
-};
-
-Wanted wanted(const physkin_options* given) {
-  physkin_options options{};
-  if (given != nullptr) {
-    // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
-    constexpr std::size_t kEnds[] = {offsetof(physkin_options, normals_from_faces),
-                                     offsetof(physkin_options, precision), offsetof(physkin_options, instruction_set),
-                                     sizeof options};
-    std::size_t known = 0;
-    for (const std::size_t end : kEnds) {
-      if (given->size >= end) known = end;
-    }
-    if (known == 0) {
-      throw std::invalid_argument("options.size is " + std::to_string(given->size) +
-                                  "; set it to sizeof(physkin_options)");
-    }
-    std::memcpy(&options, given, known);
-  }
-  if (options.normals_from_faces != 0 && options.normals_from_faces != 1) {
-    throw std::invalid_argument("options.normals_from_faces is " + std::to_string(options.normals_from_faces) +
-                                "; must be 0 or 1");
-  }
-  Wanted result;
-  result.kernels = &physkin::select_kernels(options.instruction_set == nullptr ? "" : options.instruction_set);
-  result.options.precision = physkin::select_precision(options.precision == nullptr ? "" : options.precision);
-  result.options.normals = options.normals_from_faces != 0 ? physkin::Normals::faces : physkin::Normals::skinned;
-  return result;
-}
-
 physkin_status open(const unsigned char* data, std::size_t size, const physkin_options* given,
                     physkin_garment** garment) {
-  const Wanted how = wanted(given);
+  const Wanted how(given);
   const physkin::BoundFile file(data, size);
   try {
-    *garment = std::make_unique<physkin_garment>(file, *how.kernels, how.options).release();
+    *garment =
+        std::make_unique<physkin_garment>(file, *how.kernels, physkin::EvaluatorOptions{how.precision, how.normals})
+            .release();
   } catch (const std::invalid_argument& error) {
     throw physkin::FileError(error.what());
   }
@@ -146,10 +88,7 @@ physkin_status step(physkin_garment* garment, const float* joint_positions, cons
   if (garment == nullptr || joint_positions == nullptr || given == nullptr || out == nullptr) {
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, joint_positions, gravity or root, or out is null");
   }
-  if (columns != 3 && columns != 6) return fail(PHYSKIN_BAD_ARGUMENT, "columns is %d; must be 3 or 6", int(columns));
-  if (stride < columns) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "stride is %ld floats; must be %d or more", long(stride), int(columns));
-  }
+  if (const physkin_status status = physkin::c_interface::check_rows(columns, stride)) return status;
   if (const physkin_status status = begin(garment->input)) return status;
   for (std::size_t k = 0; k < garment->rows.size(); ++k) {
     float* const first = out + garment->parts[k].first_vertex * stride;
@@ -157,8 +96,7 @@ physkin_status step(physkin_garment* garment, const float* joint_positions, cons
   }
   const auto* rows = garment->rows.data();
   if (const physkin::Rejection bad = garment->evaluator.step(joint_positions, garment->input.rows(), rows)) {
-    return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
-                double(bad.value), double(bad.limit));
+    return fail(bad);
   }
   return PHYSKIN_OK;
 }
@@ -182,7 +120,7 @@ extern "C" {
 
 int32_t physkin_abi_version(void) { return PHYSKIN_ABI_VERSION; }
 
-const char* physkin_last_error(void) { return last_error; }
+const char* physkin_last_error(void) { return physkin::c_interface::last_error(); }
 
 physkin_status physkin_open(const char* path, const physkin_options* options, physkin_garment** garment) {
   if (path == nullptr || garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "path or garment is null");

@@ -3,25 +3,20 @@
 // What is loaded is the file that `physkin bind` writes: garments on one avatar, gzipped or not. Metres, radians, the
 // avatar's root frame in glTF's axes: x left, y up, z forward. What is wrong is thrown as PhyskinError, one sentence.
 
-const ABI_VERSION = 2;
-const VERTEX_NUMBERS = 6; // of a row: x y z, then the unit normal
+import { bytesOf, NativeModule, PhyskinError, ROW } from "./native_module.js";
+
+export { PhyskinError };
+
 const UPRIGHT = [0, 0, 0, 0, 0, 0, 1];
 
-export class PhyskinError extends Error {
-  name = "PhyskinError";
-}
-
-let compiled = null;
-
 /** An outfit from its address, a Response, or its bytes. See physkin.d.ts. */
-export async function loadOutfit(source, { wasm = new URL("physkin.wasm", import.meta.url) } = {}) {
-  const [module, file] = await Promise.all([moduleOf(wasm), bytesOf(source).then(inflated)]);
-  const instance = await WebAssembly.instantiate(module, importsOf(() => instance.exports.memory));
-  instance.exports._initialize();
-  return new Outfit(instance.exports, file);
+export async function loadOutfit(source, { wasm } = {}) {
+  const [module, file] = await Promise.all([NativeModule.load(wasm), bytesOf(source).then(inflated)]);
+  return new Outfit(module, file);
 }
 
 class Outfit {
+  #module;
   #native;
   #handle;
   #joints; // places in the module's memory of what a frame reads and writes
@@ -31,18 +26,15 @@ class Outfit {
   #positions;
 
   /** @private */
-  constructor(native, file) {
-    this.#native = native;
-    const version = native.physkin_abi_version();
-    if (version !== ABI_VERSION) {
-      throw new PhyskinError(`physkin.wasm has interface version ${version}; physkin.js takes ${ABI_VERSION}`);
-    }
+  constructor(module, file) {
+    this.#module = module;
+    const native = (this.#native = module.native);
     this.#handle = this.#open(file);
     const joints = native.physkin_joint_count(this.#handle);
     const vertices = native.physkin_vertex_count(this.#handle);
-    this.#joints = this.#room(4 * joints);
-    this.#input = this.#room(8 * UPRIGHT.length);
-    this.#rows = this.#room(4 * VERTEX_NUMBERS * vertices);
+    this.#joints = this.#module.room(4 * joints);
+    this.#input = this.#module.room(8 * UPRIGHT.length);
+    this.#rows = this.#module.room(4 * ROW * vertices);
     this.joints = Array.from({ length: joints }, (_, joint) => this.#readJoint(joint));
     this.joints.forEach(({ name }, joint) => this.#index.set(name, joint));
     this.#positions = Float32Array.from(this.joints, ({ rest }) => rest);
@@ -55,33 +47,33 @@ class Outfit {
   step(joints, { gravity, time, root } = {}) {
     const native = this.#native;
     this.#fill(joints);
-    this.#view(Float32Array, this.#joints, this.#positions.length).set(this.#positions);
+    this.#module.view(Float32Array, this.#joints, this.#positions.length).set(this.#positions);
     let status;
     if (time === undefined && root === undefined) {
       const [x, y, z] = direction(gravity ?? [0, -1, 0]);
-      this.#view(Float32Array, this.#input, 3).set([z, x, y]);
-      status = native.physkin_step(
-        ...[this.#handle, this.#joints, this.#input, this.#rows, VERTEX_NUMBERS, VERTEX_NUMBERS],
-      );
+      this.#module.view(Float32Array, this.#input, 3).set([z, x, y]);
+      status = native.physkin_step(this.#handle, this.#joints, this.#input, this.#rows, ROW, ROW);
     } else {
       if (gravity !== undefined) throw new PhyskinError("gravity is of a root at rest; give either it or time and root");
       if (!Number.isFinite(time)) throw new PhyskinError(`time is ${time}; it must be a finite number of seconds`);
       const [x, y, z, i, j, k, w] = numbers("root", root ?? UPRIGHT, UPRIGHT.length);
-      this.#view(Float64Array, this.#input, UPRIGHT.length).set([z, x, y, k, i, j, w]);
-      status = native.physkin_step_moving(
-        ...[this.#handle, this.#joints, time, this.#input, this.#rows, VERTEX_NUMBERS, VERTEX_NUMBERS],
-      );
+      this.#module.view(Float64Array, this.#input, UPRIGHT.length).set([z, x, y, k, i, j, w]);
+      status = native.physkin_step_moving(this.#handle, this.#joints, time, this.#input, this.#rows, ROW, ROW);
     }
-    this.#check(status);
-    this.#copyRows();
+    this.#module.check(status);
+    let at = this.#rows;
+    for (const { positions, normals } of this.garments) {
+      this.#module.copyRows(at, positions, normals);
+      at += 4 * ROW * (positions.length / 3);
+    }
   }
 
   set sway(amount) {
-    this.#check(this.#native.physkin_set_sway(this.#handle, amount));
+    this.#module.check(this.#native.physkin_set_sway(this.#handle, amount));
   }
 
   reset() {
-    this.#check(this.#native.physkin_reset(this.#handle));
+    this.#module.check(this.#native.physkin_reset(this.#handle));
   }
 
   boneRotations(joints) {
@@ -130,35 +122,15 @@ class Outfit {
     return [x, y, z, w];
   }
 
-  // --- The module's memory ---
-
-  // Whatever is allocated may move the memory to another buffer: a view is made when it is used.
-  #view(Type, place, length) {
-    return new Type(this.#native.memory.buffer, place, length);
-  }
-
-  #room(bytes) {
-    const place = this.#native.malloc(bytes);
-    if (place === 0) throw new PhyskinError(`there is no room in memory for ${bytes} bytes`);
-    return place;
-  }
-
-  #text(place) {
-    const bytes = new Uint8Array(this.#native.memory.buffer, place);
-    return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
-  }
-
-  #check(status) {
-    if (status !== 0) throw new PhyskinError(this.#text(this.#native.physkin_last_error()));
-  }
+  // --- The file ---
 
   #open(file) {
-    const place = this.#room(file.length || 1);
-    const handle = this.#room(4);
+    const place = this.#module.room(file.length);
+    const handle = this.#module.room(4);
     try {
-      this.#view(Uint8Array, place, file.length).set(file);
-      this.#check(this.#native.physkin_open_memory(place, file.length, 0, handle));
-      return this.#view(Uint32Array, handle, 1)[0];
+      this.#module.view(Uint8Array, place, file.length).set(file);
+      this.#module.check(this.#native.physkin_open_memory(place, file.length, 0, handle));
+      return this.#module.view(Uint32Array, handle, 1)[0];
     } finally {
       this.#native.free(place);
       this.#native.free(handle);
@@ -167,41 +139,25 @@ class Outfit {
 
   #readJoint(joint) {
     const [native, at] = [this.#native, this.#input];
-    this.#check(native.physkin_joint_range(this.#handle, joint, at, at + 4, at + 8));
-    const [lower, rest, upper] = this.#view(Float32Array, at, 3);
-    this.#check(native.physkin_joint_axis(this.#handle, joint, at));
-    const [x, y, z] = this.#view(Float32Array, at, 3);
-    const name = this.#text(native.physkin_joint_name(this.#handle, joint));
+    this.#module.check(native.physkin_joint_range(this.#handle, joint, at, at + 4, at + 8));
+    const [lower, rest, upper] = this.#module.view(Float32Array, at, 3);
+    this.#module.check(native.physkin_joint_axis(this.#handle, joint, at));
+    const [x, y, z] = this.#module.view(Float32Array, at, 3);
+    const name = this.#module.text(native.physkin_joint_name(this.#handle, joint));
     return { name, lower, rest, upper, axis: [y, z, x] };
   }
 
   #readGarment(part) {
     const [native, at] = [this.#native, this.#input];
-    this.#check(native.physkin_part_range(this.#handle, part, at, at + 4, at + 8, at + 12));
-    const [first, count, firstFace, faceCount] = this.#view(Int32Array, at, 4);
+    this.#module.check(native.physkin_part_range(this.#handle, part, at, at + 4, at + 8, at + 12));
+    const [first, count, firstFace, faceCount] = this.#module.view(Int32Array, at, 4);
     const all = native.physkin_faces(this.#handle) + 12 * firstFace;
     return {
-      name: this.#text(native.physkin_part_name(this.#handle, part)),
-      faces: Uint32Array.from(this.#view(Int32Array, all, 3 * faceCount), (vertex) => vertex - first),
+      name: this.#module.text(native.physkin_part_name(this.#handle, part)),
+      faces: Uint32Array.from(this.#module.view(Int32Array, all, 3 * faceCount), (vertex) => vertex - first),
       positions: new Float32Array(3 * count),
       normals: new Float32Array(3 * count),
     };
-  }
-
-  #copyRows() {
-    const [vertices, numbers] = [this.#native.physkin_vertex_count(this.#handle), VERTEX_NUMBERS];
-    const rows = this.#view(Float32Array, this.#rows, numbers * vertices);
-    let at = 0;
-    for (const { positions, normals } of this.garments) {
-      for (let to = 0; to < positions.length; to += 3, at += numbers) {
-        positions[to] = rows[at + 1];
-        positions[to + 1] = rows[at + 2];
-        positions[to + 2] = rows[at];
-        normals[to] = rows[at + 4];
-        normals[to + 1] = rows[at + 5];
-        normals[to + 2] = rows[at + 3];
-      }
-    }
   }
 }
 
@@ -235,14 +191,6 @@ function direction(gravity) {
   throw new PhyskinError(`gravity is [${values.join(", ")}]; expected a unit direction`);
 }
 
-async function bytesOf(source) {
-  if (source instanceof ArrayBuffer) return new Uint8Array(source);
-  if (ArrayBuffer.isView(source)) return new Uint8Array(source.buffer, source.byteOffset, source.byteLength);
-  const response = source instanceof Response ? source : await fetch(source);
-  if (!response.ok) throw new PhyskinError(`cannot load ${response.url}: ${response.status} ${response.statusText}`);
-  return new Uint8Array(await response.arrayBuffer());
-}
-
 async function inflated(bytes) {
   if (bytes[0] !== 0x1f || bytes[1] !== 0x8b) return bytes;
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -251,37 +199,4 @@ async function inflated(bytes) {
   } catch {
     throw new PhyskinError(`the file of ${bytes.length} bytes is cut off or damaged: it cannot be inflated`);
   }
-}
-
-// --- The module ---
-
-// Compiled once, however many outfits there are.
-async function moduleOf(wasm) {
-  if (wasm instanceof WebAssembly.Module) return wasm;
-  const address = wasm instanceof URL || typeof wasm === "string" ? String(wasm) : null;
-  if (address === null) return WebAssembly.compile(await bytesOf(wasm));
-  if (compiled?.address !== address) {
-    compiled = { address, module: bytesOf(wasm).then(WebAssembly.compile) };
-    compiled.module.catch(() => (compiled = null)); // the next outfit tries again
-  }
-  return compiled.module;
-}
-
-// What the C library asks a system for; there are no environment variables, and nothing is printed.
-function importsOf(memory) {
-  const noEnvironment = (...places) => {
-    const view = new DataView(memory().buffer);
-    for (const place of places) view.setUint32(place, 0, true);
-    return 0;
-  };
-  return {
-    env: { emscripten_notify_memory_growth() {} },
-    wasi_snapshot_preview1: {
-      environ_get: () => 0,
-      environ_sizes_get: noEnvironment,
-      proc_exit(code) {
-        throw new PhyskinError(`physkin.wasm has ended with code ${code}`);
-      },
-    },
-  };
 }

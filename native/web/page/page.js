@@ -1,13 +1,15 @@
-// An avatar that moves as motion.json says, its clothes computed here. The scene is in glTF's axes.
+// An avatar that moves as motion.json says, its clothes computed here; or, with ?bridge=ws://HOST:9090, as a running ROS
+// node poses both. The scene is in glTF's axes.
 import * as THREE from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { showBridge } from "./live.js";
 import { loadOutfit } from "./physkin.js";
-import { layOn } from "./three.js";
+import { Figure, Stage } from "./stage.js";
 
 const SHOWN_TIMES = 30; // frames that the time shown is the median of
 
 const find = (id) => document.getElementById(id);
+const bridge = new URLSearchParams(location.search).get("bridge");
 
 async function start() {
   const began = performance.now();
@@ -22,6 +24,13 @@ async function start() {
   find("told").textContent = said;
   const stage = new Stage(model.scene);
   const figure = new Figure(outfit, model.scene);
+  if (bridge !== null) {
+    find("player").remove();
+    const say = (text) => (find("told").textContent = text);
+    const root = [...motion.root[0].slice(0, 3), 0, 0, 0, 1];
+    window.shown = await showBridge(bridge, { stage, figure, outfit, root, say });
+    return;
+  }
   const player = new Player(motion, outfit);
   addJoints(outfit, player);
   addGarments(outfit, figure);
@@ -50,94 +59,6 @@ async function start() {
   }
   requestAnimationFrame(frame);
   window.shown = { outfit, player, figure, loaded }; // for who looks from the console
-}
-
-/** Light, floor and camera, which follows the figure. */
-class Stage {
-  #renderer = new THREE.WebGLRenderer({ antialias: true });
-  #scene = new THREE.Scene();
-  #camera = new THREE.PerspectiveCamera(28, 1, 0.1, 50);
-  #controls = new OrbitControls(this.#camera, this.#renderer.domElement);
-  #sun = new THREE.DirectionalLight(0xffffff, 1.8);
-  #at = new THREE.Vector3();
-
-  constructor(figure) {
-    this.#renderer.shadowMap.enabled = true;
-    this.#renderer.shadowMap.type = THREE.PCFSoftShadowMap;
-    document.body.prepend(this.#renderer.domElement);
-    this.#scene.background = new THREE.Color(0xeeeeee);
-    const floor = new THREE.Mesh(new THREE.CircleGeometry(20, 64), new THREE.ShadowMaterial({ opacity: 0.25 }));
-    floor.rotation.x = -Math.PI / 2;
-    floor.receiveShadow = true;
-    this.#sun.castShadow = true;
-    this.#sun.shadow.mapSize.set(2048, 2048);
-    Object.assign(this.#sun.shadow.camera, { left: -1.5, right: 1.5, top: 1.5, bottom: -1.5, far: 12 });
-    this.#sun.shadow.normalBias = 0.01;
-    this.#scene.add(floor, this.#sun, this.#sun.target, new THREE.HemisphereLight(0xffffff, 0xc0b0a0, 2.2), figure);
-    this.#camera.position.set(1.4, 0.5, 4.2);
-    this.#controls.enableDamping = true;
-    const fit = () => {
-      this.#renderer.setSize(innerWidth, innerHeight);
-      this.#camera.aspect = innerWidth / innerHeight;
-      this.#camera.updateProjectionMatrix();
-    };
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    addEventListener("resize", fit);
-    fit();
-  }
-
-  draw(root) {
-    const at = new THREE.Vector3(...root);
-    this.#camera.position.add(at).sub(this.#at);
-    this.#controls.target.copy(at);
-    this.#at.copy(at);
-    this.#sun.position.copy(at).add(new THREE.Vector3(2, 4, 3));
-    this.#sun.target.position.copy(at);
-    this.#controls.update();
-    this.#renderer.render(this.#scene, this.#camera);
-  }
-}
-
-/** The avatar on its bones, and meshes that lie on the garments. */
-class Figure {
-  #outfit;
-  #model;
-  #bones;
-  #lay = [];
-  #meshes = [];
-
-  constructor(outfit, model) {
-    this.#outfit = outfit;
-    this.#model = model;
-    this.#bones = new Map(outfit.bones.map(({ name }) => [name, boneOf(model, name)]));
-    model.traverse((mesh) => {
-      if (!mesh.isMesh) return;
-      mesh.castShadow = mesh.receiveShadow = true;
-      mesh.frustumCulled = false;
-      const garment = mesh.userData.garment ?? mesh.parent.userData.garment;
-      const covered = mesh.userData.covered ?? mesh.parent.userData.covered;
-      this.#meshes.push({ mesh, garment, covered });
-      if (garment !== undefined) this.#lay.push(layOn(mesh, outfit.garments[garment]));
-    });
-    this.wear(() => true);
-  }
-
-  /** Shows garments that `worn` says, and skin that no garment covers then. */
-  wear(worn) {
-    const all = this.#outfit.garments.every((_, garment) => worn(garment));
-    for (const { mesh, garment, covered } of this.#meshes) {
-      mesh.visible = garment === undefined ? !(covered && all) : worn(garment);
-    }
-  }
-
-  show(positions, [x, y, z, ...turn]) {
-    this.#model.position.set(x, y, z);
-    this.#model.quaternion.fromArray(turn);
-    for (const [name, rotation] of this.#outfit.boneRotations(positions)) {
-      this.#bones.get(name)?.quaternion.fromArray(rotation);
-    }
-    for (const lay of this.#lay) lay();
-  }
 }
 
 /** Joint positions and root of any moment of the motion, and what sliders add to it. */
@@ -170,15 +91,6 @@ class Player {
       again,
     };
   }
-}
-
-// GLTFLoader leaves dots out of the names of nodes, and keeps them as they were beside.
-function boneOf(model, name) {
-  let found;
-  model.traverse((node) => {
-    if (node.isBone && (node.userData.name ?? node.name) === name) found = node;
-  });
-  return found;
 }
 
 function addJoints(outfit, player) {
