@@ -121,7 +121,7 @@ def test_what_a_file_says_of_itself(c, small_bound_file):
 
 def test_a_program_in_c(small_bound_file, tmp_path):
     """Older, shorter options are taken; a step allocates nothing, neither when it succeeds nor when it is refused."""
-    program = compiled(NATIVE.parent / "tests" / "native" / "c_host_test.c", tmp_path)
+    program = compiled(NATIVE.parent / "tests" / "native" / "c_host" / "c_host_test.c", tmp_path)
     assert subprocess.run([program, small_bound_file], check=True, capture_output=True, text=True).stdout == "0\n"
 
 
