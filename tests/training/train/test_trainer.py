@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import signal
 from dataclasses import replace
 
@@ -247,6 +248,26 @@ def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, u
     told = load_garment_model(finished_run / "out" / "band.safetensors").training
     assert training["seed"] == 6
     assert training["started_from"]["seed"] == 5 and training["started_from"]["step"] == told["step"]
+
+
+def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkeypatch, unfitted_normals):
+    """A run from a model is measured before its first step; the next measurement is that of its end."""
+    written, finished = [], [0]
+    monkeypatch.setattr("physkin_training.train.train.SHOWN_EVERY", -1.0)
+    monkeypatch.setattr(
+        "physkin_training.train.train.save_garment_model", lambda _, path: written.append((path.name, finished[-1]))
+    )
+    run = Trainer.run
+    monkeypatch.setattr(
+        Trainer, "run", lambda self, steps: (finished.append(step) or step for step in run(self, steps))
+    )
+    config = small_config(tmp_path, steps=3)
+    at_once = replace(config.optimisation, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=100)
+    config = as_toml(replace(config, optimisation=at_once, start=finished_run / "out" / "band.safetensors"))
+    (tmp_path / "band.toml").write_text(config)
+    shutil.copy(finished_run / "out" / "band.safetensors", tmp_path)
+    main(train_command(tmp_path), shown=tmp_path / "shown.safetensors")
+    assert finished == [0, 1, 2, 3] and not {("shown.safetensors", 1), ("shown.safetensors", 2)} & set(written)
 
 
 def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monkeypatch, capsys, unfitted_normals):

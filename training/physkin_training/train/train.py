@@ -173,7 +173,8 @@ def _train(
             if due:
                 trainer.save(checkpoint)
                 saved = time.perf_counter()
-            if shown and trainer.best is not best and time.perf_counter() - written > SHOWN_EVERY:
+            better = trainer.best is not best and trainer.best.step > 0  # at 0 it is what is shown already
+            if shown and better and time.perf_counter() - written > SHOWN_EVERY:
                 save_garment_model(_best_model(trainer), shown)
                 best, written = trainer.best, time.perf_counter()
             if report:
