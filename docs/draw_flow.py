@@ -27,7 +27,7 @@ def flow(model: GarmentModel) -> str:
         _line("M325 110V166"),
         _text(333, 132, "modulates", size=12),
         _line("M150 50V30H560V80H706"),
-        _box(710, 50, 260, "rest shape and garment nodes", "graded to the body", RULE),
+        _box(710, 50, 260, "rest shape, garment nodes", "graded to the body", RULE),
         _line("M900 110V301"),
     ]
     frame = [
@@ -39,7 +39,7 @@ def flow(model: GarmentModel) -> str:
         _line("M100 230V301"),
         _box(20, 305, 160, "bones", "forward kinematics", RULE),
         _line("M180 335H226"),
-        _box(230, 305, 190, "posed garment nodes", f"{m}, each by its bone", RULE),
+        _box(230, 305, 190, "posed garment nodes", f"{m}, each with its bone", RULE),
         _line("M420 322H510V234"),
         _box(490, 170, 240, "node deformer", _sizes(model.node_deformer), NETWORK),
         _line("M660 230V301"),
@@ -51,7 +51,7 @@ def flow(model: GarmentModel) -> str:
         _line("M880 365V392"),
     ]
     texts = [
-        _text(20, 34, "once a body", size=14, colour="#777"),
+        _text(20, 34, "once per body", size=14, colour="#777"),
         _text(20, 163, "every frame", size=14, colour="#777"),
         _text(880, 410, f"{n:,} positions and normals", size=13, anchor="middle"),
     ]
@@ -79,8 +79,8 @@ def _box(x: int, y: int, width: int, name: str, said: str, colour: str) -> str:
     middle = x + width / 2
     return (
         f'<rect x="{x}" y="{y}" width="{width}" height="60" rx="8" fill="{colour}" stroke="#8a8a8a"/>'
-        + _text(middle, y + 26, name, size=15, bold=True, anchor="middle")
-        + _text(middle, y + 46, said, size=12, anchor="middle")
+        + _text(middle, y + 26, name, size=14, bold=True, anchor="middle")
+        + _text(middle, y + 46, said, size=11, anchor="middle")
     )
 
 
