@@ -1,0 +1,28 @@
+"""Python in the documents runs as it stands there."""
+
+import re
+import shutil
+
+import pytest
+from documents import DOCUMENTS, name_of
+
+import physkin_core
+from import_graph import ROOT
+
+BLOCK = re.compile(r"^```python\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
+WITH_PYTHON = [path for path in DOCUMENTS if path.parent in (ROOT, ROOT / "docs") and BLOCK.search(path.read_text())]
+
+
+@pytest.mark.filterwarnings("ignore::physkin_core.AvatarWarning")
+@pytest.mark.parametrize("document", WITH_PYTHON, ids=name_of)
+def test_blocks_run(document, tmp_path, monkeypatch):
+    """One after the other, with a draper, a pose and a file as readers have them by then; what reads a message apart."""
+    shutil.copy(physkin_core.BUNDLED_AVATAR, tmp_path / "me.vrm")
+    monkeypatch.chdir(tmp_path)
+    model = physkin_core.load_garment_model("tshirt")
+    avatar = physkin_core.load_avatar(physkin_core.BUNDLED_AVATAR, model.rig)
+    given = {"physkin": physkin_core, "model": model, "avatar": avatar, "positions": model.rig.rest.copy()}
+    given["draper"] = physkin_core.Draper(model, avatar)
+    for block in BLOCK.findall(document.read_text()):
+        if "(message)" not in block:
+            exec(compile(block, str(document), "exec"), given)
