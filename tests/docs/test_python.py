@@ -16,7 +16,7 @@ WITH_PYTHON = [path for path in DOCUMENTS if path.parent in (ROOT, ROOT / "docs"
 @pytest.mark.filterwarnings("ignore::physkin_core.AvatarWarning")
 @pytest.mark.parametrize("document", WITH_PYTHON, ids=name_of)
 def test_blocks_run(document, tmp_path, monkeypatch):
-    """One after the other, with a draper, a pose and a file as readers have them by then; what reads a message apart."""
+    """One after the other, with a draper, a pose and a file as readers have them by then; not what reads a message."""
     shutil.copy(physkin_core.BUNDLED_AVATAR, tmp_path / "me.vrm")
     monkeypatch.chdir(tmp_path)
     model = physkin_core.load_garment_model("tshirt")
