@@ -13,8 +13,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#if defined(_WIN32)
-#define PHYSKIN_API
+#if defined(_WIN32) && defined(PHYSKIN_BUILDS_LIBRARY)
+#define PHYSKIN_API __declspec(dllexport)
+#elif defined(_WIN32)
+#define PHYSKIN_API __declspec(dllimport)
 #else
 #define PHYSKIN_API __attribute__((visibility("default")))
 #endif

@@ -32,7 +32,7 @@ physkin_status check_rows(std::int32_t columns, std::ptrdiff_t stride) noexcept 
 }
 
 physkin_status fail(const Rejection& bad) noexcept {
-  return fail(PHYSKIN_BAD_POSE, "%s[%zu] is %g; every value must be finite and within +-%g", bad.name, bad.index,
+  return fail(PHYSKIN_BAD_POSE, "%s[%ld] is %g; every value must be finite and within +-%g", bad.name, long(bad.index),
               double(bad.value), double(bad.limit));
 }
 

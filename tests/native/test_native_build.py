@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from native_library import NATIVE, SANITIZERS, build_library, build_program
 
+from physkin_core.runtime.evaluator import supported_instruction_sets
+
 HERE = Path(__file__).parent
 FILE_FORMAT = [NATIVE / "src" / "file_format" / name for name in ("tensor_file.cpp", "sha256.cpp")]
 ARM_COMPILER, ARM_LEVELS = "aarch64-linux-gnu-g++", ("baseline", "dotprod", "i8mm")
@@ -108,3 +110,27 @@ def test_frames_on_arm(qemu, small_bound_file, tmp_path):
         assert {line.split()[2] for line in frames.stdout.splitlines()} == {"0"}
     program = build_program(library, HERE / "bound_file_fuzz.cpp", ARM_COMPILER, inner=FILE_FORMAT)
     assert qemu("max", program, small_bound_file, "3000").returncode == 0
+
+
+@pytest.mark.slow
+def test_windows(small_bound_file, tmp_path):
+    """By MinGW, without a warning; under Wine the example drapes, on every instruction set."""
+    compiler, wine = "x86_64-w64-mingw32-g++-posix", shutil.which("wine")
+    if shutil.which(compiler) is None:
+        pytest.skip("needs g++-mingw-w64-x86-64-posix")
+    windows = ("-DCMAKE_SYSTEM_NAME=Windows", "-DCMAKE_SYSTEM_PROCESSOR=x86_64")
+    library = build_library(tmp_path, compiler, options=(*windows, "-DCMAKE_SHARED_LINKER_FLAGS=-static"))
+    program = tmp_path / "drape.exe"
+    source = ("-I", NATIVE / "include", NATIVE / "examples" / "drape.c", "-L", library, "-lphyskin_c")
+    subprocess.run([compiler.replace("g++", "gcc"), "-std=c99", *source, "-o", program], check=True)
+    if wine is None:
+        pytest.skip("built; needs wine to run it")
+    for level in supported_instruction_sets():
+        environment = os.environ | {
+            "PHYSKIN_NATIVE_ISA": level,
+            "WINEDEBUG": "-all",
+            "WINEPREFIX": str(tmp_path / "wine"),
+        }
+        done = subprocess.run([wine, program, small_bound_file], capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, done.stderr
+        assert sum(line.startswith("v ") for line in done.stdout.splitlines()) == 50

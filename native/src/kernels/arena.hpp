@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <new>
@@ -51,13 +50,13 @@ class Arena {
 
  private:
   static constexpr std::size_t kHugePage = std::size_t{2} << 20, kChunk = 4 * kHugePage;
+  static constexpr std::align_val_t kHugePages{kHugePage};
 
   static std::size_t round_up(std::size_t value, std::size_t step) { return (value + step - 1) / step * step; }
 
   void add_chunk(std::size_t bytes) {
     const std::size_t size = round_up(bytes, kChunk);
-    std::unique_ptr<std::byte, Free> chunk(static_cast<std::byte*>(std::aligned_alloc(kHugePage, size)));
-    if (!chunk) throw std::bad_alloc();
+    std::unique_ptr<std::byte, Free> chunk(static_cast<std::byte*>(::operator new(size, kHugePages)));
 #if defined(__linux__)
     // Network weights in small pages lie scattered over the caches' sets; refused, it is only slower.
     madvise(chunk.get(), size, MADV_HUGEPAGE);
@@ -68,7 +67,7 @@ class Arena {
   }
 
   struct Free {
-    void operator()(std::byte* memory) const { std::free(memory); }
+    void operator()(std::byte* memory) const { ::operator delete(memory, kHugePages); }
   };
   std::vector<std::unique_ptr<std::byte, Free>> chunks_;
   std::byte* next_ = nullptr;
