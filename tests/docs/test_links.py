@@ -28,6 +28,13 @@ def test_links_lead_somewhere(document):
     assert broken == []
 
 
+def test_every_page_is_in_the_index():
+    """The notebook, too, which the site's navigation leaves out."""
+    text = (ROOT / "docs" / "README.md").read_text()
+    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")} - {"README.md"}
+    assert pages - set(re.findall(r"\]\(([^)#]+)", text)) == set()
+
+
 def test_architecture_names_files_that_exist():
     """Python files and folders by their import package, C++ files of native/ by their name."""
     text = (ROOT / "docs" / "architecture.md").read_text()
