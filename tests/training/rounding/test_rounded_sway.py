@@ -22,7 +22,7 @@ def test_a_rounded_network_sways_the_same_in_fewer_bytes(tmp_path, monkeypatch):
     model = replace(shipped, sway=random_sway_network(*given, modulation=modulation, **sizes))
     sway = rounding.rounded_sway(model.sway, model.rig)
     motions = MotionPool(model.rig).drawn(range(1000, 1004), 120, seed=1)
-    parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn))
+    parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn, motions.gravity))
     seen = Features(model.rig, model.sway.joints, torch.device("cpu"))(*parts, 1 / RATE_HZ)
     codes = torch.randn(4, len(model.sway.code_directions), generator=torch.Generator().manual_seed(2))
     with torch.no_grad():

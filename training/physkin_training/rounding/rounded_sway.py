@@ -39,7 +39,7 @@ def rounded_sway(sway: SwayNetwork, rig: Rig, *, seed: int = 0) -> SwayNetwork:
     for name in ROUNDINGS:
         getattr(network, name).register_forward_hook(lambda _, inputs, __, name=name: take(name, inputs[0]))
     motions = MotionPool(rig).drawn(range(WALKERS), round(SECONDS * RATE_HZ), seed=seed)
-    parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn))
+    parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn, motions.gravity))
     drive, pose = Features(rig, sway.joints, torch.device("cpu"))(*parts, 1 / RATE_HZ)
     codes = torch.randn(WALKERS, len(sway.code_directions), generator=torch.Generator().manual_seed(seed))
     with torch.no_grad():
