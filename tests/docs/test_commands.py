@@ -41,9 +41,11 @@ def commands_of(document):
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     lines += re.findall(r"`(physkin [^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
     for line in lines:
-        found = re.search(r"^(?:.*(?:/bin/|[;&|(] ?))?(physkin\s+[a-z-].*)", re.sub(r"\s+#\s.*", "", line))
+        found = re.search(
+            r"^(?:.*(?:/bin/|[;&|(] ?))?(physkin\s+[a-z-].*)", re.sub(r"\s+#\s.*", "", line.replace("\n", " "))
+        )
         if found:
-            yield shlex.split(re.split(r"\s(?:&&|\|\||[|&>])|;", found[1].replace("\n", " "))[0])[1:]
+            yield shlex.split(re.split(r"\s(?:&&|\|\||[|&>])|;", found[1])[0])[1:]
 
 
 @pytest.mark.parametrize("document", [path for path in DOCUMENTS if path.name != "CHANGELOG.md"], ids=name_of)
