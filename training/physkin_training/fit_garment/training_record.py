@@ -72,14 +72,19 @@ def taken_over(training: Mapping) -> str:
 def learnt(training: Mapping, rows: list[dict]) -> str:
     """What a run learnt, in words. training: of its model. rows: of its `losses.jsonl`."""
     begun = "carried_from" in training.get("started_from", {})
-    what = "the networks and folds, and which node holds which part of your mesh how strongly (skinning weights)"
-    said = f"Learnt {'on, from there' if begun else 'from scratch'}: {what}."
+    said = (
+        f"{'From there it went on to learn' if begun else 'It learnt from scratch'} the networks, the folds, and how "
+        "strongly each node holds each part of your mesh (skinning weights)."
+    )
     measured = [(row["validation_energy"], row["step"]) for row in rows if "validation_energy" in row]
     if not measured:
         return said
     energy, step = min(measured)
-    first = f"; the first one was {measured[0][0]:.4f} J" if len(measured) > 1 else ""
-    return f"{said} The model is that of step {step:,}, of the least energy measured, {energy:.4f} J{first}."
+    first = f" ({measured[0][0]:.4f} J at first)" if len(measured) > 1 else ""
+    return (
+        f"{said} The model is that of step {step:,}: in poses that are only measured, not trained on, the energy of "
+        f"its cloth is the least, {energy:.4f} J{first}."
+    )
 
 
 def undertrained(scores: Mapping, steps: int, *, begun: bool = False) -> str:
