@@ -117,6 +117,7 @@ def _read(path: Path) -> tuple[str, Mapping[str, list[tuple[str, str, str]]]]:
             continue
         lines = paragraph.splitlines()
         text = _uncommented("\n".join(line for line in lines if line.startswith("#")))
+        text = text.replace(" No unit.", "").replace(" A count.", "")  # in the file each says so; a table need not
         declared = [line.split()[:2] for line in lines if not line.startswith("#")]
         list(parts.values())[-1].extend((name, kind, text) for kind, name in declared)
     return head, parts
