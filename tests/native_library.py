@@ -75,6 +75,7 @@ def c_library():
     loaded.physkin_step_moving.argtypes = [*[ctypes.c_void_p] * 2, ctypes.c_double, *loaded.physkin_step.argtypes[2:]]
     loaded.physkin_set_sway.argtypes = [ctypes.c_void_p, ctypes.c_double]
     loaded.physkin_reset.argtypes = [ctypes.c_void_p]
+    loaded.physkin_set_wind.argtypes = [ctypes.c_void_p] * 2
     loaded.physkin_open_memory.argtypes = [ctypes.c_char_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_void_p]
     return loaded
 

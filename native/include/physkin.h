@@ -108,6 +108,11 @@ PHYSKIN_API physkin_status physkin_step_moving(physkin_garment* garment, const f
 /* How much cloth swings in physkin_step_moving, from 0, not at all, to 1, the default; at any time. */
 PHYSKIN_API physkin_status physkin_set_sway(physkin_garment* garment, double amount);
 
+/* Velocity [m/s] (3) of the air from now on, at most 13 long, else PHYSKIN_BAD_ARGUMENT; until then it is still. In the
+ * world of physkin_step_moving's root; in physkin_step in the level frame that faces as the root does. An effective
+ * gravity, of physkin_step_accelerated, is taken to have all in it that pulls at cloth, wind too. */
+PHYSKIN_API physkin_status physkin_set_wind(physkin_garment* garment, const double* velocity);
+
 /* Cloth hangs still in the next physkin_step_moving, as in the first. */
 PHYSKIN_API physkin_status physkin_reset(physkin_garment* garment);
 

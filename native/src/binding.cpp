@@ -112,6 +112,8 @@ nb::dict constants() {
   nb::dict d;
   d["standard_gravity"] = kStandardGravity;
   d["largest_effective_gravity"] = kLargestEffectiveGravity;
+  d["air_drag"] = kAirDrag;
+  d["largest_wind"] = kLargestWind;
   d["joints_beyond"] = kBeyond;
   d["largest_rate"] = kLargestRate;
   d["largest_velocity"] = kLargestVelocity;

@@ -226,6 +226,14 @@ physkin_status physkin_set_sway(physkin_garment* garment, double amount) {
   return PHYSKIN_OK;
 }
 
+physkin_status physkin_set_wind(physkin_garment* garment, const double* velocity) {
+  if (garment == nullptr || velocity == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or velocity is null");
+  if (const char* wrong = garment->input.set_wind(velocity)) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s, got (%g, %g, %g)", wrong, velocity[0], velocity[1], velocity[2]);
+  }
+  return PHYSKIN_OK;
+}
+
 physkin_status physkin_reset(physkin_garment* garment) {
   if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
   garment->input.reset();

@@ -221,6 +221,14 @@ void bind_frame(nb::module_& module) {
       .def(
           "sway", [](FrameInput& self, int garment) { return self.sway(checked_garment(garment, self.count())); },
           "garment"_a)
+      .def(
+          "set_wind",
+          [](FrameInput& self, const Vector& velocity) {
+            raise_if_wrong(self.set_wind(vector_of(velocity, "wind", 3)));
+          },
+          "velocity"_a)
+      .def("wind",
+           [](const FrameInput& self) { return nb::make_tuple(self.wind()[0], self.wind()[1], self.wind()[2]); })
       .def("reset", &FrameInput::reset)
       .def(
           "hang",

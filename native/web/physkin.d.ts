@@ -48,6 +48,9 @@ export interface Outfit {
   step(joints: JointPositions, frame?: Frame): void;
   /** How much cloth swings with a root that moves, from 0 to 1, which is the default. */
   set sway(amount: number);
+  /** Velocity x y z [m/s] of the air, at most 13 long, which is [0, 0, 0] until it is set: in the root's world; of a root at
+   * rest in the level frame that faces as it does. */
+  set wind(velocity: ArrayLike<number>);
   /** Lets cloth hang still, as if the next frame were the first. */
   reset(): void;
   /** Rotation of each bone relative to its parent and to the canonical pose, as quaternion x y z w: for posing the avatar. */

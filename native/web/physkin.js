@@ -72,6 +72,12 @@ class Outfit {
     this.#module.check(this.#native.physkin_set_sway(this.#handle, amount));
   }
 
+  set wind(velocity) {
+    const [x, y, z] = numbers("wind", velocity, 3);
+    this.#module.view(Float64Array, this.#input, 3).set([z, x, y]);
+    this.#module.check(this.#native.physkin_set_wind(this.#handle, this.#input));
+  }
+
   reset() {
     this.#module.check(this.#native.physkin_reset(this.#handle));
   }

@@ -45,7 +45,7 @@ def write_web_page(folder: Path, outfit: Outfit, motion: Motion, looks: Sequence
 
 
 def _plain(motion: Motion, outfit: Outfit) -> dict:
-    """positions: (T, d) in the outfit's order of joints; root: (T, 7) in glTF's axes."""
+    """positions: (T, d) in the outfit's order of joints; root: (T, 7) and wind: (3,) in glTF's axes."""
     root = np.concatenate(
         [
             motion.root_position @ FROM_ROOT_FRAME.T,
@@ -59,4 +59,5 @@ def _plain(motion: Motion, outfit: Outfit) -> dict:
         "rate": motion.rate_hz,
         "positions": motion.positions_for(outfit.rig).astype(float).round(DIGITS).tolist(),
         "root": root.astype(float).round(DIGITS).tolist(),
+        "wind": (FROM_ROOT_FRAME @ outfit.wind).round(DIGITS).tolist(),
     }

@@ -172,6 +172,15 @@ class Draper:
     def sway(self, amount: float) -> None:
         self.outfit.sway = amount
 
+    @property
+    def wind(self) -> tuple[float, float, float]:
+        """Velocity [m/s] (3) of the air in the world; as of `Outfit`."""
+        return self.outfit.wind
+
+    @wind.setter
+    def wind(self, velocity: Sequence[float]) -> None:
+        self.outfit.wind = velocity
+
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first."""
         self.outfit.reset()

@@ -110,10 +110,10 @@ class Outfit:
 
     def twin(self) -> Outfit:
         """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and
-        `sway` is as it is here now."""
-        twin, sways = copy(self), self.frame_input.sways
+        `sway` and `wind` are as they are here now."""
+        twin, here = copy(self), self.frame_input
         twin._begin(self.layers)
-        twin.frame_input.sways = sways
+        twin.frame_input.sways, twin.frame_input.wind = here.sways, here.wind
         return twin
 
     def giving(self, garment: int, bound: BoundGarment) -> Outfit:
@@ -232,6 +232,16 @@ class Outfit:
         many = isinstance(amount, Sequence) or np.ndim(amount) > 0
         given: Any = amount
         self.frame_input.sways = tuple(given) if many else (given,) * len(self.layers)
+
+    @property
+    def wind(self) -> tuple[float, float, float]:
+        """Velocity [m/s] of the air in the world, as of `FrameInput.wind`; (0, 0, 0), the default, is still air. At any
+        time. Raises ValueError, when set, unless it is three finite numbers, at most 13 m/s long."""
+        return self.frame_input.wind
+
+    @wind.setter
+    def wind(self, velocity: Sequence[float]) -> None:
+        self.frame_input.wind = velocity
 
     def reset(self) -> None:
         """Let the cloth hang still, as if the next frame were the first; see `FrameInput.reset`."""

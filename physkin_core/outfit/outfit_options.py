@@ -26,6 +26,7 @@ __all__ = [
     "add_rig_option",
     "add_sway_option",
     "add_tucked_option",
+    "add_wind_option",
     "chosen_garments",
     "dressed",
     "named_garments",
@@ -116,6 +117,18 @@ def add_sway_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_wind_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--wind`, as `Outfit.wind` takes it."""
+    parser.add_argument(
+        "--wind",
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("X", "Y", "Z"),
+        help="velocity of the air [m/s] in the motion's world, Z up, at most 13 long (default: still air)",
+    )
+
+
 def the_garment(names: Sequence[str] | None, taker: str) -> str:
     """The one file or shipped name that `--garment` gives to a command of one garment; a T-shirt where there is none.
 
@@ -157,7 +170,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
         ]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
     outfit = Outfit(garments, avatar, fit=options.fit, hide=not (for_engines or whole), own_clothes=options.own_clothes)
-    outfit.sway = getattr(options, "sway", outfit.sway)
+    outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
     print_warnings(outfit.warnings)
     return outfit
 

@@ -10,6 +10,7 @@ from physkin_core.outfit.outfit_options import (
     add_limbs_option,
     add_outfit_options,
     add_sway_option,
+    add_wind_option,
     dressed,
     read_motion,
 )
@@ -55,6 +56,7 @@ def command_parser() -> argparse.ArgumentParser:
     add_outfit_options(parser)
     add_limbs_option(parser)
     add_sway_option(parser)
+    add_wind_option(parser)
     usual = Camera()
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: 30, or the motion's own)")
     parser.add_argument(

@@ -18,7 +18,9 @@ import numpy as np
 from physkin_core.native_module import native
 
 __all__ = [
+    "AIR_DRAG",
     "LARGEST_EFFECTIVE_GRAVITY",
+    "LARGEST_WIND",
     "STANDARD_GRAVITY",
     "UPRIGHT_GRAVITY",
     "FrameInput",
@@ -32,6 +34,10 @@ STANDARD_GRAVITY: float = native.constants["standard_gravity"]
 """[m/s2] what a gravity direction stands for."""
 LARGEST_EFFECTIVE_GRAVITY: float = native.constants["largest_effective_gravity"]
 """In units of gravity; training knows no more."""
+AIR_DRAG: float = native.constants["air_drag"]
+"""[1/s] deceleration of cloth over its speed through still air."""
+LARGEST_WIND: float = native.constants["largest_wind"]
+"""[m/s]"""
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 
@@ -51,7 +57,8 @@ class FrameInput:
     time [s], negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s]
     for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
 
-    First say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame.
+    In each frame first say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame, which adds
+    the wind.
 
     Examples:
         >>> frame_input = physkin.FrameInput([False])
@@ -83,6 +90,18 @@ class FrameInput:
         for garment, amount in enumerate([checked_sway(amount) for amount in amounts]):
             self._native.set_sway(garment, amount)
 
+    @property
+    def wind(self) -> tuple[float, float, float]:
+        """Velocity [m/s] (3) of the air in the world, Z up: that of the root's pose; where only gravity's direction is
+        known, the level frame that faces as the root does. It pulls at all garments, however much they sway. A
+        new wind comes up at 30 m/s2. Raises ValueError, when set, unless it is three finite numbers, at most 13 m/s
+        long."""
+        return self._native.wind()
+
+    @wind.setter
+    def wind(self, velocity: Sequence[float]) -> None:
+        _checked(self._native.set_wind, np.asarray(velocity))
+
     def reset(self) -> None:
         """Cloth hangs still in the next frame, as in a first one; for another motion, or after the root was moved by
         hand."""
@@ -95,8 +114,9 @@ class FrameInput:
     def accelerate(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
         """The root is accelerated, and nothing more is known of its motion. effective_gravity: (3,) [m/s2] gravity less
         the root's acceleration, in its frame: zero in free fall, at most three times gravity. at_rest: (3,) [m/s2] what
-        it would be without the acceleration; each garment then feels as much of the difference as it sways. Raises
-        ValueError for what is not allowed."""
+        it would be without the acceleration; each garment then feels as much of the difference as it sways, and the
+        wind. Without `at_rest` it is all that pulls at cloth, wind included. Raises ValueError for what is not allowed.
+        """
         rest = None if at_rest is None else np.ascontiguousarray(at_rest, dtype=np.float64)
         _checked(lambda vector: self._native.accelerate(vector, rest), effective_gravity)
 
@@ -172,7 +192,7 @@ def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:
     """Hand a vector over; what is refused is told with its values."""
     vector = np.ascontiguousarray(values, dtype=np.float64)
     if vector.ndim != 1:
-        raise ValueError(f"gravity and roots are rows of numbers, got an array of shape {vector.shape}")
+        raise ValueError(f"gravity, wind and roots are rows of numbers, got an array of shape {vector.shape}")
     try:
         take(vector)
     except ValueError as error:

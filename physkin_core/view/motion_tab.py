@@ -1,4 +1,4 @@
-"""Widgets: which motion, play and pause, its time and speed, and how much cloth sways."""
+"""Widgets: which motion, play and pause, its time and speed, how much cloth sways, and wind."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from physkin_core.view.uploads import Uploads
 
 __all__ = ["MotionTab"]
 
+STRONGEST_WIND = 10.0
+"""[m/s]"""
 BY_HAND = "none, posed by hand"
 SLOWEST, FASTEST = 0.1, 2.0
 NO_MARKS = ()
@@ -40,6 +42,9 @@ class MotionTab:
         hint = "how much the cloth lags, swings and settles, 0 to 1"
         sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway, marks=NO_MARKS, hint=hint)
         sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
+        hint = "along the floor's X axis, in an avatar's back as it stands at first; below 0 in its face"
+        wind = gui.add_slider("wind [m/s]", -STRONGEST_WIND, STRONGEST_WIND, 0.5, state.wind, marks=NO_MARKS, hint=hint)
+        wind.on_update(page.by_hand(lambda: state.blow(wind.value)))
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
         uploads.add_button("Load a motion", hint=hint, load=self._load)
         self.follow()

@@ -1,5 +1,5 @@
 // What the module in JavaScript makes of a case: node run.mjs PACKAGE CASE, both answers and errors as JSON.
-//   CASE: { file, frames: [[joints, frame], ...], poses: [{ bone: [x, y, z, w], ... }, ...], vrm }
+//   CASE: { file, frames: [[joints, frame, wind, if it changes], ...], poses: [{ bone: [x, y, z, w], ... }, ...], vrm }
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
@@ -20,8 +20,9 @@ const told = (work) => {
 async function answer() {
   const outfit = await loadOutfit(readFileSync(given.file), { wasm: readFileSync(`${folder}/physkin.wasm`) });
   const arrays = outfit.garments.map(({ positions }) => positions);
-  const frames = (given.frames ?? []).map(([joints, frame]) =>
+  const frames = (given.frames ?? []).map(([joints, frame, wind]) =>
     told(() => {
+      if (wind !== undefined) outfit.wind = wind;
       outfit.step(joints, frame);
       return {
         clouds: outfit.garments.map(({ positions, normals }) => [base64(positions), base64(normals)]),

@@ -73,7 +73,9 @@ def in_gltf_axes(root):
 
 
 def test_clouds_are_the_native_ones(outfit, bound, tmp_path, monkeypatch):
-    """0.1 mm from them at most, over a dance whose root moves, and for a pose by itself; joints by number and name.
+    """0.1 mm from them at most, over a dance whose root moves and where wind comes up, and for a pose by itself.
+
+    Joints are given by number and name.
 
     Of the instruction set whose arithmetic it has: others lay out bf16 differently, and are 0.13 mm off on average.
     """
@@ -84,13 +86,18 @@ def test_clouds_are_the_native_ones(outfit, bound, tmp_path, monkeypatch):
     tilted = np.array([0.3, -0.4, -np.sqrt(0.75)])
     bent = {"lowerarm01.L_z": -1.0, "upperleg01.R_y": -0.8}
     frames.append([bent, {"gravity": (FROM_ROOT_FRAME @ tilted).tolist()}])
+    wind = np.array([-3.0, 1.0, 0.5])
+    frames[20].append((FROM_ROOT_FRAME @ wind).tolist())
     told = run(tmp_path, bound, frames=frames)
     assert [joint["name"] for joint in told["joints"]] == list(outfit.joint_names) and told["kept"]
     for layer, garment in zip(outfit.layers, told["garments"]):
         assert garment["name"] == layer.name and np.array_equal(garment["faces"], layer.faces.reshape(-1))
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
     twin = outfit.twin()
-    native = [twin.drape(pose, time=time, root=root) for pose, time, root in moments]
+    native = []
+    for pose, time, root in moments:
+        twin.wind = wind if len(native) >= 20 else np.zeros(3)
+        native.append(twin.drape(pose, time=time, root=root))
     native.append(twin.drape(bent, tilted))
     for frame, expected in zip(told["frames"], native):
         for cloud, wanted in zip(clouds(frame), expected):
@@ -130,6 +137,8 @@ def test_what_is_refused(bound, tmp_path):
         "gravity is [0, -1]; expected 3 finite numbers": [{}, {"gravity": [0, -1]}],
         "gravity is of a root at rest; give either it or time and root": [{}, {"gravity": [0, -1, 0], "time": 1}],
         "time is undefined; it must be a finite number of seconds": [{}, {"root": [0, 0, 0, 0, 0, 0, 1]}],
+        "wind is [1, 2]; expected 3 finite numbers": [{}, {}, [1, 2]],
+        "wind must be (3,), finite, up to 13 m/s, got (0, 14, 0)": [{}, {}, [14, 0, 0]],
         "the quaternion of root must be of length 1": [{}, {"time": 1, "root": [0, 0, 0, 0, 0, 0, 2]}],
     }
     still = [{}, {}]

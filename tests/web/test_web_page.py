@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import time
 
 import numpy as np
@@ -22,10 +23,10 @@ made = pytest.mark.skipif(not web_page.PAGE.is_dir(), reason="needs `make wasm`:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The page of a walk."""
+    """The page of a walk in wind."""
     folder = tmp_path_factory.mktemp("page")
     worn = [word for name in GARMENTS for word in ("-g", name)]
-    assert main(["export", "walk", *worn, "--rate", "20", "--web", str(folder)]) == 0
+    assert main(["export", "walk", *worn, "--rate", "20", "--wind", "2", "-1", "0", "--web", str(folder)]) == 0
     return folder
 
 
@@ -47,6 +48,11 @@ def test_files_are_small(folder):
     """At most 2.5 MB a garment on the wire; nothing that was only needed on the way."""
     assert (folder / "outfit.physkin.gz").stat().st_size < 2.5e6 * len(GARMENTS)
     assert not (folder / "outfit.physkin").exists()
+
+
+@made
+def test_wind_of_the_command_blows_on_the_page(folder):
+    assert json.loads((folder / "motion.json").read_text())["wind"] == [-1.0, 0.0, 2.0]
 
 
 @made

@@ -43,6 +43,7 @@ const char* FrameInput::hang(const double* direction) noexcept {
   if (!(std::abs(length_of(direction) - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
   std::fill(rows_.begin(), rows_.end(), under(direction));
   rates_known_ = sway_networks_apply_ = true;
+  wind_.face_level(direction);
   return nullptr;
 }
 
@@ -60,6 +61,13 @@ const char* FrameInput::accelerate(const double* effective_gravity, const double
     rows_[k] = under(own);
   }
   sway_networks_apply_ = false;
+  if (at_rest == nullptr) {
+    wind_.leave_out();
+  } else {
+    const double down = std::max(length_of(at_rest), 1e-9);
+    const double direction[3] = {at_rest[0] / down, at_rest[1] / down, at_rest[2] / down};
+    wind_.face_level(direction);
+  }
   return nullptr;
 }
 
@@ -74,6 +82,7 @@ void FrameInput::follow(const RootSample& root) noexcept {
   }
   rates_known_ = root.known;
   sway_networks_apply_ = true;
+  wind_.face(root.turn);
 }
 
 const char* FrameInput::move(double time, const double* root) noexcept {
@@ -100,6 +109,7 @@ const char* FrameInput::begin_frame(double time) noexcept {
     row.elapsed = swings ? elapsed : -1;
     row.moves = swings && rates_known_ && passed_ >= 0 ? 1.0f : 0.0f;
   }
+  blow(elapsed);
   return nullptr;
 }
 
@@ -110,6 +120,12 @@ void FrameInput::begin_still_frame() noexcept {
     row.elapsed = -1;
     row.sway = row.moves = 0;
   }
+  blow(-1);
+}
+
+void FrameInput::blow(double seconds) noexcept {
+  wind_.blow(seconds);
+  for (GarmentInput& row : rows_) wind_.add_to(row.gravity);
 }
 
 }  // namespace physkin

@@ -2,8 +2,8 @@
 // moves, and how much time has passed. The one place where that is worked out: Python, the ROS node, replay and C hosts
 // fill the rows that Evaluator::step reads by it.
 //
-// First where down is, by one of `hang`, `accelerate`, `follow` and `move`; then the time, by `begin_frame` or
-// `begin_still_frame`. Functions that can refuse their values return what is wrong with them, or null; nothing has
+// In each frame first where down is, by one of `hang`, `accelerate`, `follow` and `move`; then the time, by `begin_frame`
+// or `begin_still_frame`, which add the wind. Functions that can refuse their values return what is wrong with them, or null; nothing has
 // changed then.
 #pragma once
 
@@ -11,6 +11,7 @@
 
 #include "evaluator/garment_input.hpp"
 #include "sway/pendulum.hpp"
+#include "sway/wind.hpp"
 
 namespace physkin {
 
@@ -32,13 +33,18 @@ class FrameInput {
   void set_sway(int garment, double amount) noexcept { garments_[std::size_t(garment)].sway = amount; }
   double sway(int garment) const noexcept { return garments_[std::size_t(garment)].sway; }
 
+  // Wind that blows from now on, whatever sways: velocity [m/s] (3) in the world of the root, at most kLargestWind long.
+  const char* set_wind(const double* velocity) noexcept { return wind_.set(velocity); }
+  const double* wind() const noexcept { return wind_.velocity(); }
+
   // Cloth hangs still in the next frame, as in a first one, and nothing is known of the root.
   void reset() noexcept;
 
-  // The root is at rest: gravity's unit direction (3) in its frame.
+  // The root is at rest: gravity's unit direction (3) in its frame. Wind is in the level frame that faces as it does.
   const char* hang(const double* direction) noexcept;
   // The root is accelerated, and it is not known how it moves: gravity less its acceleration (3) [m/s2], in its frame.
-  // Each garment feels as much of what that differs from `at_rest` (3) as it sways; null: all of it.
+  // Each garment feels as much of what that differs from `at_rest` (3) as it sways, and wind as of `hang`. Null: all of
+  // it, and wind is taken to be in it.
   const char* accelerate(const double* effective_gravity, const double* at_rest) noexcept;
   // The root moves as a pendulum knows it.
   void follow(const RootSample& root) noexcept;
@@ -62,9 +68,12 @@ class FrameInput {
     double sway = 1;
   };
 
+  void blow(double seconds) noexcept;
+
   std::vector<Garment> garments_;
   std::vector<GarmentInput> rows_;
   Pendulum pendulum_;
+  Wind wind_;
   bool rates_known_ = true, sway_networks_apply_ = true;
   bool has_time_ = false;
   double time_ = 0;

@@ -22,6 +22,7 @@ async function start() {
   const loaded = performance.now() - began;
   const said = `loaded in ${(loaded / 1000).toFixed(2)} s`;
   find("told").textContent = said;
+  outfit.wind = motion.wind;
   const stage = new Stage(model.scene);
   const figure = new Figure(outfit, model.scene);
   if (bridge !== null) {

@@ -69,8 +69,8 @@ class SceneState:
     `load_motion` takes it, or None. fit, own_clothes: as of `Outfit`. separate_limbs: whether poses go through a
     `LimbSeparator`. points: a file of splats where one of the garments lies; while that is worn, frames have them.
     warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
-    motion; seconds: its time. sway: as of `Outfit`. pose: shown now; posed_by_hand: whether a joint was set last.
-    show_plain: compute plain skinning too.
+    motion; seconds: its time. sway: as of `Outfit`. wind: [m/s] along the world's X axis, changed by `blow`. pose:
+    shown now; posed_by_hand: whether a joint was set last. show_plain: compute plain skinning too.
     Raises what loading raises; what is shown is then as it was.
     """
 
@@ -94,7 +94,7 @@ class SceneState:
         self._changed = True
         self._player: MotionPlayer | None = None
         self.playing, self.speed, self.seconds = False, 1.0, 0.0
-        self.sway = 1.0
+        self.sway, self.wind = 1.0, 0.0
         self._clock = self._settling = 0.0
         self.posed_by_hand = False
         self.show_plain = False
@@ -247,6 +247,10 @@ class SceneState:
         """Let `advance` give a frame, though no pose has changed."""
         self._changed = True
 
+    def blow(self, wind: float) -> None:
+        """Let wind blow along the world's X axis [m/s], against it below 0; cloth follows though the motion stands."""
+        self.wind, self._settling, self._changed = wind, SETTLES_WITHIN, True
+
     # --- The frame ---
 
     def advance(self, seconds: float) -> Frame | None:
@@ -267,7 +271,7 @@ class SceneState:
 
     def _frame(self) -> Frame:
         outfit, pose = self.outfit, self.pose
-        outfit.sway = self.sway
+        outfit.sway, outfit.wind = self.sway, (self.wind, 0.0, 0.0)
         root = np.concatenate([pose.root_position, pose.root_orientation])
         began = perf_counter()
         if self._separator is not None:

@@ -147,18 +147,18 @@ def test_joints_rest_where_meshes_are_bound(walking):
 
 
 def test_usd_has_every_vertex(tmp_path, motion, worn, trousers_file, folded):
-    """Points of body and garments, with detail, layers in order and swaying, to a float's rounding; the root moves;
-    metres, Z up."""
+    """Points of body and garments, with detail, layers in order, swaying, in wind, to a float's rounding; the root
+    moves; metres, Z up."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom
 
     shirt, path = folded
-    export(tmp_path / "walk.usdc", trousers_file, path, options=("--sway", "0.5"))
+    export(tmp_path / "walk.usdc", trousers_file, path, options=("--sway", "0.5", "--wind", "-4", "1", "0"))
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetEndTimeCode()) == (RATE, motion.frame_count - 1)
     outfit = Outfit([worn[0], shirt], load_avatar(BUNDLED_AVATAR, shirt.rig))
-    outfit.sway = 0.5
+    outfit.sway, outfit.wind = 0.5, (-4.0, 1.0, 0.0)
     for frame, positions in enumerate(motion.positions_for(worn[0].rig)):
         clouds = outfit.drape(positions, time=frame / RATE, root=motion.root[frame])
         for layer, cloud in zip(outfit.layers, clouds):
@@ -217,6 +217,10 @@ def usd_faults(stage):
         (["walk", "-o", "walk.fbx"], "cannot write walk.fbx: allowed are .glb, .usd, .usdc"),
         (["walk", "-g", "tshirt", "--tucked", "skirt", "-o", "x.glb"], "--tucked skirt: none of the garments"),
         (["strut", "-o", "x.glb"], "strut"),
+        (
+            ["walk", "--wind", "0", "14", "0", "-o", "x.glb"],
+            "wind must be (3,), finite, up to 13 m/s, got [0.0, 14.0, 0.0]",
+        ),
     ],
 )
 def test_what_cannot_be_exported_is_told(options, told, capsys):

@@ -106,6 +106,17 @@ def test_cloth_sways_and_settles(state):
     state.sway = 0.0
 
 
+def test_wind_blows_along_the_floor_though_the_motion_stands(state):
+    """Until cloth has settled in it, then no more frames are given."""
+    state.pause(), state.rest()
+    still = state.advance(10.0).cloth[0].copy()
+    state.blow(-6.0)
+    moved = [state.advance(0.1) for _ in range(40)]
+    assert (moved[20].cloth[0] - still)[:, 0].mean() < -0.0005
+    assert state.outfit.wind == (-6.0, 0.0, 0.0) and moved[-1] is None
+    state.blow(0.0)
+
+
 def test_player_is_smooth_between_frames():
     """Halfway between two frames lies the mean of both; times beyond the ends are the ends."""
     motion, model = load_motion("dance"), load_garment_model("tshirt")

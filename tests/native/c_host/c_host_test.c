@@ -59,6 +59,7 @@ int main(int argc, char** argv) {
     if (physkin_step_moving(garment, pose, k / 60.0, root, out, 6, 6) != PHYSKIN_OK) return 1;
     if (physkin_step_moving(garment, pose, NAN, root, out, 6, 6) != PHYSKIN_BAD_POSE) return 1;
     if (physkin_set_sway(garment, 0.5) != PHYSKIN_OK || physkin_set_sway(garment, 2) != PHYSKIN_BAD_ARGUMENT) return 1;
+    if (physkin_set_wind(garment, root) != PHYSKIN_OK) return 1;
     if (physkin_reset(garment) != PHYSKIN_OK) return 1;
     pose[0] = NAN;
     if (physkin_step(garment, pose, gravity, out, 3, 6) != PHYSKIN_BAD_POSE) return 1;

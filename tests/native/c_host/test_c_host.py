@@ -185,6 +185,36 @@ def test_a_root_that_moves(network, c, tmp_path):
         c.physkin_close(each)
 
 
+@pytest.mark.usefixtures("exact_network_weights")
+def test_wind(c, tmp_path):
+    """As Python's drapes in the same wind, of roots at rest and in motion; what cannot blow is refused."""
+    rng = np.random.default_rng(62)
+    model = random_model(rng, learnt_sway=True)
+    draper, pose = Draper(model, random_avatar(rng, model.rig)), random_pose(rng, model.rig)[0]
+    draper.save_bound(tmp_path / "g")
+    _, garment = load(c, (tmp_path / "g").read_bytes())
+    out, still = np.empty((2, draper.vertex_count, 6), dtype=np.float32)
+    down = np.float32([0.6, 0.0, -0.8])
+    assert step(c, garment, pose, down, still) == OK
+    for k, wind in enumerate(([3.0, 0.0, 0.0], [3.0, -2.0, 1.0], [-8.0, 0.0, 0.0])):
+        draper.wind = wind
+        assert c.physkin_set_wind(garment, np.array(wind).ctypes.data) == OK
+        root = np.array([0.1 * k, 0, 0.9, *Rotation.from_euler("z", 0.1 * k).as_quat()])
+        assert step_moving(c, garment, pose, k / 60, root, out) == OK
+        assert np.allclose(out, draper.drape(pose, time=k / 60, root=root), atol=1e-5)
+    for wrong, said in (
+        ([0, 14, 0], b"got (0, 14, 0)"),
+        ([np.nan, 0, 0], b"up to 13 m/s"),
+        ([0, 0, np.inf], b"finite"),
+    ):
+        assert c.physkin_set_wind(garment, np.array(wrong, dtype=np.float64).ctypes.data) == BAD_ARGUMENT
+        assert said in c.physkin_last_error()
+    assert c.physkin_set_wind(garment, None) == c.physkin_set_wind(None, root.ctypes.data) == BAD_ARGUMENT
+    assert step(c, garment, pose, down, out) == OK
+    assert np.allclose(out, draper.drape(pose, down), atol=1e-5) and np.abs(out - still).max() > 1e-3
+    c.physkin_close(garment)
+
+
 def test_a_step_without_a_time_ends_what_was_before(c, small_bound_file):
     """The next one with a root is a first one."""
     moved, fresh = (load(c, small_bound_file.read_bytes())[1] for _ in range(2))

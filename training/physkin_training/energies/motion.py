@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import torch
 
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.sway.frame_input import AIR_DRAG, STANDARD_GRAVITY
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, view
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp
@@ -30,7 +30,7 @@ class Dynamics:
     stiffness. Raises ValueError for a value that is not finite or negative.
     """
 
-    air_drag: float = 2.0
+    air_drag: float = AIR_DRAG
     relaxation: float = 0.01
 
     def __post_init__(self) -> None:

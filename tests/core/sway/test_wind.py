@@ -1,0 +1,149 @@
+"""Wind: what it adds to the gravity that cloth is under, in every way that a frame is told of its root."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import physkin_core as physkin
+from physkin_core.sway.frame_input import AIR_DRAG, LARGEST_WIND, STANDARD_GRAVITY, FrameInput
+
+WIND, DOWN = np.array([3.0, -2.0, 0.5]), np.array([0.0, 0.0, -1.0])
+STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
+TURN = Rotation.from_euler("xyz", (0.4, -0.9, 2.0))
+
+
+def blown(wind=WIND, *, networks=(False, True), sways=(1.0, 1.0)):
+    frame_input = FrameInput(networks)
+    frame_input.sways, frame_input.wind = sways, wind
+    return frame_input
+
+
+def felt(frame_input, **given):
+    """(g, 3) effective gravity in units of gravity."""
+    frame_input.fill(**given)
+    return frame_input.rows[:, :3].astype(np.float64)
+
+
+def pull(wind=WIND):
+    """Of air that drags at cloth by its speed."""
+    return AIR_DRAG * np.asarray(wind) / STANDARD_GRAVITY
+
+
+@pytest.mark.parametrize("sways", [(1.0, 1.0), (0.0, 0.0)])
+def test_it_is_a_field_beside_gravity_in_the_world_however_cloth_sways(sways):
+    turned = [0.0, 0.0, 0.9, *TURN.as_quat()]
+    expected = TURN.inv().apply(DOWN + pull())
+    np.testing.assert_allclose(felt(blown(sways=sways), time=0.0, root=turned), [expected] * 2, atol=1e-6)
+
+
+def test_of_a_root_at_rest_it_is_in_the_level_frame_that_faces_as_it_does():
+    np.testing.assert_allclose(felt(blown()), [DOWN + pull()] * 2, atol=1e-6)
+    for axis, angle in (("y", -1.5), ("y", 1.5), ("x", 0.7), ("xyz", (0.3, -0.5, 0.0))):  # lies on its back and face
+        tilt = Rotation.from_euler(axis, angle)
+        level = Rotation.align_vectors([DOWN], [tilt.inv().apply(DOWN)])[0].inv()
+        found = felt(blown(), gravity=tilt.inv().apply(DOWN))
+        np.testing.assert_allclose(found, [level.apply(DOWN + pull())] * 2, atol=1e-6)
+    upside_down = felt(blown(), gravity=-DOWN)
+    np.testing.assert_allclose(upside_down, [(-DOWN) + pull() * [1, -1, -1]] * 2, atol=1e-6)
+
+
+def test_an_acceleration_of_which_rest_is_known_goes_with_wind_and_an_effective_gravity_has_it_in_it():
+    frame_input, given = blown(), np.array([1.0, 0.0, -9.0])
+    frame_input.accelerate(given, STANDARD_GRAVITY * DOWN)
+    frame_input.begin_frame(0.0)
+    np.testing.assert_allclose(frame_input.rows[:, :3], [given / STANDARD_GRAVITY + pull()] * 2, atol=1e-6)
+    np.testing.assert_allclose(felt(blown(), effective_gravity=given), [given / STANDARD_GRAVITY] * 2, atol=1e-6)
+
+
+def test_cloth_never_feels_more_than_three_times_gravity():
+    strongest = felt(blown((0.0, 0.0, -LARGEST_WIND)))
+    assert np.linalg.norm(strongest, axis=1) == pytest.approx(2.999)
+    across = felt(blown((LARGEST_WIND, 0.0, 0.0)))
+    np.testing.assert_allclose(across, [DOWN + pull((LARGEST_WIND, 0, 0))] * 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("rate", [15, 60, 120])
+def test_a_gust_takes_its_time_at_any_rate_and_what_changes_slowly_is_not_late(rate):
+    frame_input = blown((0.0, 0.0, 0.0))
+    felt(frame_input, time=0.0, root=STILL)
+    frame_input.wind = (9.0, 0.0, 0.0)
+    path = [felt(frame_input, time=k / rate, root=STILL)[0, 0] for k in range(1, rate + 1)]
+    assert path[round(0.2 * rate) - 1] == pytest.approx(pull((6.0, 0, 0))[0], rel=1e-4), "30 m/s2"
+    assert path[-1] == pytest.approx(pull((9.0, 0, 0))[0], rel=1e-6)
+    again = felt(frame_input, time=1.0, root=STILL)[0, 0]
+    frame_input.wind = (9.0 - 12 / rate, 0.0, 0.0)
+    assert felt(frame_input, time=1.0, root=STILL)[0, 0] == again, "a doubled frame"
+    assert felt(frame_input, time=1 + 1 / rate, root=STILL)[0, 0] == pytest.approx(pull((9 - 12 / rate, 0, 0))[0])
+
+
+def test_where_nothing_goes_on_it_blows_at_once():
+    frame_input = blown((0.0, 0.0, 0.0))
+    felt(frame_input, time=0.0, root=STILL)
+    frame_input.wind = WIND
+    np.testing.assert_allclose(felt(frame_input), [DOWN + pull()] * 2, atol=1e-6)
+    frame_input.wind = -WIND
+    frame_input.reset()
+    np.testing.assert_allclose(felt(frame_input, time=5.0, root=STILL), [DOWN - pull()] * 2, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("wind", "said"),
+    [
+        ((13.1, 0, 0), r"up to 13 m/s, got \[13.1, 0.0, 0.0\]"),
+        ((0, np.nan, 0), "finite, up to 13 m/s"),
+        ((0, 0, np.inf), "finite, up to 13 m/s"),
+        ((1.0, 0.0), r"wind must have shape \(3,\)"),
+        (3.0, r"wind must have shape \(3,\)"),
+        (np.zeros((1, 3)), "rows of numbers"),
+    ],
+)
+def test_what_cannot_blow_is_refused_and_the_last_wind_stays(wind, said):
+    frame_input = blown()
+    with pytest.raises(ValueError, match=said):
+        frame_input.wind = wind
+    assert frame_input.wind == tuple(WIND)
+
+
+# --- Drapes ---
+
+
+@pytest.fixture(scope="module")
+def skirt():
+    model = physkin.load_garment_model("skirt")
+    return physkin.Draper(model, physkin.load_avatar(physkin.BUNDLED_AVATAR, model.rig))
+
+
+def test_a_skirt_is_blown_with_the_wind_as_an_acceleration_leans_it(skirt):
+    rest = skirt.model.rig.rest
+    skirt.wind = (-4.0, 0.0, 0.0)
+    try:
+        found = skirt.drape(rest)
+    finally:
+        skirt.wind = (0.0, 0.0, 0.0)
+    expected = skirt.drape(rest, effective_gravity=STANDARD_GRAVITY * (DOWN + pull((-4.0, 0, 0))))
+    assert np.abs(found - expected).max() < 1e-5
+    hem = skirt.rest_garment.vertices[:, 2] < skirt.rest_garment.vertices[:, 2].min() + 0.1
+    assert (found - skirt.drape(rest))[hem, 0].mean() < -0.008
+
+
+def test_a_sudden_gust_does_not_let_cloth_leap(skirt):
+    skirt.reset()
+    rest, last, steps = skirt.model.rig.rest, None, []
+    try:
+        for k in range(90):
+            if k == 20:
+                skirt.wind = (-10.0, 4.0, 0.0)
+            cloth = skirt.drape(rest, time=k / 60, root=STILL)[:, :3]
+            steps.append(0.0 if last is None else np.abs(cloth - last).max())
+            last = cloth
+        still = skirt.drape(rest)[:, :3]
+    finally:
+        skirt.wind = (0.0, 0.0, 0.0)
+    assert np.abs(last - still).max() < 1e-3
+    assert 0.001 < max(steps) < 0.005
+
+
+def test_wind_stays_with_a_twin(skirt):
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    outfit.wind = WIND
+    assert outfit.twin().wind == outfit.wind == tuple(WIND)
