@@ -27,6 +27,7 @@ __all__ = [
     "Pendulum",
     "RootSample",
     "checked_sway",
+    "checked_wind",
     "unit_direction",
 ]
 
@@ -180,6 +181,13 @@ def checked_sway(amount: float) -> float:
     if not (isinstance(amount, Real) and 0 <= amount <= 1):
         raise ValueError(f"sway must be a number from 0 to 1, got {amount!r}")
     return float(amount)
+
+
+def checked_wind(velocity: Sequence[float]) -> tuple[float, float, float]:
+    """A velocity (3,) [m/s] of the air, as floats. Raises ValueError, as `FrameInput.wind` does, for what is none."""
+    frame_input = FrameInput([])
+    frame_input.wind = velocity
+    return frame_input.wind
 
 
 def _checked_time(time: float) -> float:

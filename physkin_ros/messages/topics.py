@@ -21,6 +21,7 @@ __all__ = [
     "SPLAT_LOOK",
     "STATISTICS",
     "TOPICS",
+    "WIND",
     "Topic",
 ]
 
@@ -102,6 +103,13 @@ EFFECTIVE_GRAVITY = Topic(
     "gravity less the acceleration of the root [m/s2], in the body's root frame: zero in free fall, at most 29.4 "
     "long. Takes the place of gravity for 0.5 s",
 )
+WIND = Topic(
+    "~/wind",
+    "in",
+    "geometry_msgs/Vector3Stamped",
+    "velocity of the air around all avatars [m/s], at most 13 long, in the fixed world frame (Z up), whatever frame "
+    "its header names. Takes the place of the parameter wind",
+)
 DRAPED_JOINT_STATES = Topic(
     "~/joint_states",
     "out",
@@ -161,6 +169,7 @@ TOPICS = (
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,
+    WIND,
     GARMENT,
     DRAPED_JOINT_STATES,
     Topic(

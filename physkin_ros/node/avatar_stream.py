@@ -12,6 +12,7 @@ from dataclasses import replace
 from time import monotonic_ns, perf_counter_ns
 
 import numpy as np
+from geometry_msgs.msg import Vector3Stamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
@@ -24,7 +25,7 @@ from physkin_ros.joints.joint_states import JointNaming, JointStateError, JointS
 from physkin_ros.joints.missing_messages import MissingMessages
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.joints.vrm_naming import VRM
-from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES
+from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES, WIND
 from physkin_ros.middleware.quality_of_service import FollowingSubscription
 from physkin_ros.node.asset_loading import LoadedLayer, OutfitLoader
 from physkin_ros.node.diagnostics import AvatarStatistics, Health, HealthReporter
@@ -39,7 +40,7 @@ from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 from physkin_ros.root.gravity import EffectiveGravity, gravity_from_tilt
-from physkin_ros.root.quaternions import OrientationError
+from physkin_ros.root.quaternions import OrientationError, vector_of
 from physkin_ros.root.root_state import RootState
 from physkin_ros.root.tf_topics import FollowedTransforms
 
@@ -73,7 +74,7 @@ class AvatarStream:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.root = RootState(np.array(settings.gravity), FrameInput([False] * len(settings.garments)))
-        self.root.frame_input.sways = settings.sways
+        self.root.frame_input.sways, self.root.frame_input.wind = settings.sways, settings.wind
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
         self._node, self._loader, self._transforms = node, loader, transforms
@@ -102,6 +103,7 @@ class AvatarStream:
         takers = (self.root.add_direction, self._on_motion, self._on_bad_orientation)
         self._orientation = OrientationSource(node, settings, self._transforms, *takers)
         self._subscriptions = [
+            FollowingSubscription(node, Vector3Stamped, WIND.name, self._on_wind),
             FollowingSubscription(node, JointState, self.topic, self._on_joint_state, raw=True),
             FollowingSubscription(node, MultiDOFJointState, self._bone_topic, self._on_bone_rotations),
         ]
@@ -293,6 +295,18 @@ class AvatarStream:
     def set_gravity(self, down: Sequence[float]) -> None:
         """Take another direction of gravity (3,), of any length but zero, as of now."""
         self.root.set_direction(np.array(down))
+
+    def set_wind(self, velocity: Sequence[float]) -> None:
+        """Let other wind blow from now on, [m/s] in the world."""
+        self.root.frame_input.wind = velocity
+
+    def _on_wind(self, message: Vector3Stamped) -> None:
+        try:
+            self.set_wind(vector_of(message.vector))
+        except ValueError as error:
+            self.statistics.reject_wind(str(error))
+            reason = self.statistics.last_rejection
+            self._log.warning(f"{self._label}wind ignored: {reason}", throttle_duration_sec=WARNING_PERIOD)
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""

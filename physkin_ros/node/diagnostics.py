@@ -62,17 +62,18 @@ class PoseRange:
 class AvatarStatistics:
     """Counts of one avatar since it was configured. Reasons may quote what strangers send; they are made sentences.
 
-    gravity_rejected: messages of a direction that is none, or of an effective gravity that cannot be; they count as
-    rejections to warn about, but not as joint states. not_ready: joint states while there was nothing to drape yet, or
-    the node was inactive. implausible: joint states that look like degrees, draped all the same; last_implausible
-    says which joint. last_error: of a swap. last_stamp_ns: of the last joint state that was draped, None before the
-    first. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
+    gravity_rejected: messages of a direction that is none, or of an effective gravity that cannot be; wind_rejected:
+    of a wind that cannot be. They count as rejections to warn about, but not as joint states. not_ready: joint states
+    while there was nothing to drape yet, or the node was inactive. implausible: joint states that look like degrees,
+    draped all the same; last_implausible says which joint. last_error: of a swap. last_stamp_ns: of the last joint
+    state that was draped, None before the first. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
     offered: quality of service that topics are published with. missing: as `MissingMessages` counts joint states.
     """
 
     received: int = 0
     rejected: int = 0
     gravity_rejected: int = 0
+    wind_rejected: int = 0
     not_ready: int = 0
     implausible: int = 0
     swaps_failed: int = 0
@@ -100,6 +101,11 @@ class AvatarStatistics:
     def reject_gravity(self, reason: str) -> None:
         """Count an orientation message that was not used, and keep why."""
         self.gravity_rejected += 1
+        self.last_rejection = sentence(reason)
+
+    def reject_wind(self, reason: str) -> None:
+        """Count a message of wind that was not used, and keep why."""
+        self.wind_rejected += 1
         self.last_rejection = sentence(reason)
 
     def fail_swap(self, reason: str) -> None:
@@ -148,7 +154,7 @@ class Health:
     def summary(self) -> tuple[bool, str]:
         """Whether all is well, and a sentence; troubles of the period, none of which hides another."""
         counts, new = self.counts, self.new
-        rejected = new["rejected"] + new["gravity_rejected"]
+        rejected = new["rejected"] + new["gravity_rejected"] + new["wind_rejected"]
         troubles = (
             (rejected, f"{rejected} messages rejected: {counts.last_rejection}"),
             (new["swaps_failed"], f"swap failed, the old one goes on: {counts.last_error}"),
@@ -181,6 +187,7 @@ class Health:
             "joint states before a garment was ready": str(counts.not_ready),
             "joint states that look like degrees": str(counts.implausible),
             "gravity messages rejected": str(counts.gravity_rejected),
+            "wind messages rejected": str(counts.wind_rejected),
             "last rejection": counts.last_rejection or "none",
             "swaps failed": str(counts.swaps_failed),
             "last error": counts.last_error or "none",

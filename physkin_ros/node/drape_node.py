@@ -143,6 +143,8 @@ class DrapeNode(LifecycleNode):
             avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
                 stream.set_gravity(avatar.gravity)
+            if avatar.prefix + "wind" in names:
+                stream.set_wind(avatar.wind)
             if names & {each.prefix + "sway" for each in (avatar, *avatar.garments)}:
                 stream.set_sway(avatar.sways)
             if self._wish(stream) is not None:

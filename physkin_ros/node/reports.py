@@ -81,6 +81,7 @@ class Reports:
         felt = stream.root.effective_gravity(index, monotonic_ns(), has_network=by_network)
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.root.direction(0))
         values["effective gravity [m/s2]"] = "none" if felt is None else " ".join(f"{value:.2f}" for value in felt)
+        values["wind [m/s]"] = " ".join(f"{value:.2f}" for value in stream.root.frame_input.wind)
         if worn is None:
             error = stream.statistics.last_error
             well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"

@@ -13,6 +13,7 @@ from physkin_core import NORMALS, UPRIGHT_GRAVITY
 from physkin_core.loader.asset_loader import LOAD_MEMORY, LOAD_SECONDS
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
+from physkin_core.sway.frame_input import LARGEST_WIND, checked_wind
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.root.imu_acceleration import USUAL_DELAY
 
@@ -183,6 +184,12 @@ class AvatarSettings:
         low=0,
         high=1,
     )
+    wind: tuple[float, ...] = _key(
+        [0.0, 0.0, 0.0],
+        "velocity of the air [m/s] in the fixed world frame, at most 13 long, until ~/wind gives another. If only "
+        "gravity is known: in the level frame that faces as the body does",
+        changes=True,
+    )
     imu_delay: float = _key(
         USUAL_DELAY,
         "[s] time constant by which the acceleration of an IMU is smoothed; cloth follows it late by as much. 0: "
@@ -292,6 +299,11 @@ def check_setting(name: str, setting: Setting, value: object) -> object:
         except ValueError as error:
             raise SettingsError(f"parameter {name.removesuffix('gravity')}{error}") from None
         return tuple(float(number) for number in value)
+    if name.rsplit(".", 1)[-1] == "wind":
+        try:
+            return checked_wind(value)
+        except (TypeError, ValueError):
+            raise refuse(f"three finite numbers, a velocity of at most {LARGEST_WIND:g} m/s") from None
     default = setting.default
     if default is None and value in (None, ""):
         return None

@@ -53,8 +53,9 @@ class RootState:
         if known is None or (has_network and isinstance(known, RootSample)):
             return None
         felt = FrameInput([False])
-        felt.sways = self.frame_input.sways[garment : garment + 1]
+        felt.sways, felt.wind = self.frame_input.sways[garment : garment + 1], self.frame_input.wind
         _tell(felt, known)
+        felt.begin_frame()
         return STANDARD_GRAVITY * felt.rows[0, :3]
 
     def take(self, stamp_ns: int, now_ns: int) -> bool:

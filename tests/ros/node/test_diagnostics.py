@@ -80,7 +80,7 @@ def test_what_strangers_write_is_shortened_and_escaped():
     """In each reason, and in what else a status says."""
     hostile = "\x1b[2J\nERROR " + "x" * 10**6
     counts = AvatarStatistics()
-    for told in (counts.reject, counts.reject_gravity, counts.fail_swap, counts.doubt):
+    for told in (counts.reject, counts.reject_gravity, counts.reject_wind, counts.fail_swap, counts.doubt):
         told(hostile)
     _, summary, values = report(HealthReporter(), counts, GarmentStatistics())
     pytest.importorskip("diagnostic_msgs", reason="needs diagnostic_msgs: pip install 'physkin[ros]'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from core.points.splat_files import splat_ply  # noqa: E402
-from geometry_msgs.msg import Quaternion, Transform  # noqa: E402
+from geometry_msgs.msg import Quaternion, Transform, Vector3, Vector3Stamped  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState, MultiDOFJointState  # noqa: E402
 
@@ -199,6 +200,47 @@ def test_sway_can_change_while_running(shared_node, swaying):
         (result,) = shared_node.set_parameters([Parameter("sway", value=wrong)])
         assert not result.successful and "sway" in result.reason
     assert shared_node.get_parameter("sway").value == 1 and len(swaying) == 3
+
+
+def test_wind_blows_by_parameter_and_topic(peer, shared_node, draper):
+    """In the frame that faces as the root does; what cannot blow is refused and told, and the last wind stays."""
+    names, rest = draper.joint_names, draper.model.rig.rest
+    wind, publisher = shared_node.set_parameters, peer.node.create_publisher(Vector3Stamped, "/drape_node/wind", 10)
+
+    def blown(velocity):
+        draper.wind = velocity
+        expected = draper.drape(rest)
+        draper.wind = (0.0, 0.0, 0.0)
+        return expected
+
+    def send(velocity):
+        publisher.publish(Vector3Stamped(vector=Vector3(**dict(zip("xyz", map(float, velocity))))))
+
+    def cloud_is(expected):
+        return np.array_equal(peer.cloud(names, rest, next(STAMPS)), expected)
+
+    try:
+        (result,) = wind([Parameter("gravity", value=[0.0, 0.0, -1.0])])
+        for velocity in ([-5.0, 2.0, 0.0], [6, 0, 0]):
+            (result,) = wind([Parameter("wind", value=velocity)])
+            assert result.successful, result.reason
+            assert cloud_is(blown(velocity))
+        assert not np.array_equal(blown((6, 0, 0)), draper.drape(rest))
+        for wrong in ([14.0, 0.0, 0.0], [0.0, math.nan, 0.0], [1.0, 0.0], "north", 3.0):
+            (result,) = wind([Parameter("wind", value=wrong)])
+            assert not result.successful and "three finite numbers" in result.reason and "13 m/s" in result.reason
+        peer.until(publisher.get_subscription_count, "subscription to wind")
+        send((0, -8, 1))
+        peer.until(lambda: cloud_is(blown((0, -8, 1))), "cloth in the wind of the topic")
+        for count, velocity in enumerate(((0, 0, 13.5), (math.inf, 0, 0)), 1):
+            send(velocity)
+            peer.until_told("wind messages rejected", str(count))
+        assert peer.latest("last rejection") == "wind must be (3,), finite, up to 13 m/s, got [inf, 0.0, 0.0]"
+        assert peer.latest("wind [m/s]") == "0.00 -8.00 1.00" and cloud_is(blown((0, -8, 1)))
+    finally:
+        (result,) = wind([Parameter("wind", value=[0.0, 0.0, 0.0])])
+        peer.node.destroy_publisher(publisher)
+    assert cloud_is(draper.drape(rest))
 
 
 def test_sway_of_discovered_bodies_can_change(running_node, peer, model_path, swaying):

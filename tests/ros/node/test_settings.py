@@ -113,6 +113,8 @@ def test_frames_may_bear_a_slash():
         ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of texts"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0, -1]}}", "items of a list must be of one type"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0.0, 0.0]}}", "three finite numbers"),
+        ("drape_node: {ros__parameters: {wind: [9.0, 9.0, 9.0]}}", "wind is [9.0, 9.0, 9.0]; allowed: three finite"),
+        ("drape_node: {ros__parameters: {wind: 3.0}}", "wind is 3.0; allowed: three finite numbers"),
         ("drape_node: {ros__parameters: {discover: ros4hri}}", "parameter discover is for avatars"),
         ("{avatars: {ann: tall}}", "avatars.ann is 'tall'; expected avatars.ID.KEY"),
         (
