@@ -31,7 +31,7 @@ from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.skin_guard import guarded
-from physkin_core.sway.node_twist import node_twist
+from physkin_core.sway.node_twist import node_twist, thighs
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "draping", "rest_normals"]
 
@@ -100,6 +100,7 @@ def bind_garment(
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **_detail(model),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
+        sway_thighs=np.array([] if model.sway is None else thighs(rig), dtype=np.int32),
     )
     with draping(model, avatar):
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)

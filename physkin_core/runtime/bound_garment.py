@@ -46,6 +46,7 @@ class BoundGarment(SkinningData):
     sway_joints, sway_layers, sway_rates, sway_turns: the sway network, the body's code folded in, or all empty. Joints
         (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
         and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
+    sway_thighs: (t,) int32, bones on which cloth lies where they are raised; it then sways less.
     guard_vertices, guard_influence_nodes, guard_influence_weights: (s, 3) and (s, K), samples of cloth that hangs free,
         as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
         guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
@@ -72,6 +73,7 @@ class BoundGarment(SkinningData):
     sway_layers: tuple[Layer, ...] = ()
     sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_turns: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    sway_thighs: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     guard_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
     guard_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
     guard_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))

@@ -13,12 +13,17 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 
-__all__ = ["node_twist"]
+__all__ = ["node_twist", "thighs"]
 
 FREE_BELOW = 0.33
 """[m] Cloth so far below the hips twists as the pendulum does; above, the less the nearer to the hips."""
 LOOKED_AT = 0.75
 """Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
+
+
+def thighs(rig: Rig) -> list[int]:
+    """The bones from the hips down, one a leg; none of a rig without legs."""
+    return [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
 
 
 def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.ndarray) -> np.ndarray:
@@ -27,7 +32,7 @@ def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.
     node_rest: (m, 3) on the garment, node_bone: (m,) the bone of `rig` that each follows.
     """
     none = np.empty(0, dtype=np.float32)
-    hips = [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
+    hips = thighs(rig)
     if not hips:
         return none
     middle, hip = rig.heads[hips].mean(axis=0), rig.heads[hips, 2].min()

@@ -150,6 +150,8 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.sway_rates = rates.data();
   g.sway_turns = turns.data();
   g.sway_states = width;
+  g.sway_thighs = node_bone.data();
+  g.sway_thigh_count = std::min(nodes, 2);
 
   const bool detailed = width % 2 == 1, guarded = width % 4 < 2;
   const int detail_influences = 1 + vertices % 5, numbers = 3 * nodes;

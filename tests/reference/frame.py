@@ -86,7 +86,7 @@ class _Garment:
             self.features = self._feature_pace.kept(wanted, passed)
         if self._sway is not None:
             if row.sway > 0:
-                self.corrections = self.corrections + row.sway * self._sway.offsets(q, row)
+                self.corrections = self.corrections + row.sway * self._sway.share(bones) * self._sway.offsets(q, row)
             else:
                 self._sway.forget()
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))

@@ -22,17 +22,22 @@ MOST_SPEED_UP = 1.5
 """Logarithm of how many times faster, or slower, a gate lets oscillators run at most."""
 
 
+LIES_ON, HANGS = 0.5, 0.85
+"""How upright the less upright thigh is where cloth that lies on it sways no longer, and where it sways in full."""
+
+
 class SwayNetwork:
     """Of one garment, with what is kept of the last frame.
 
-    garment: sway_joints (j,), sway_layers, sway_rates, sway_turns (K,), and limits dof_lower, dof_upper (d,).
+    garment: sway_joints (j,), sway_layers, sway_rates, sway_turns (K,), sway_thighs (t,), and limits dof_lower,
+    dof_upper (d,).
     """
 
     def __init__(self, garment):
         self._joints = garment.sway_joints
         lower, upper = (limit[self._joints].astype(np.float64) for limit in (garment.dof_lower, garment.dof_upper))
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
-        self._layers = garment.sway_layers
+        self._layers, self._thighs = garment.sway_layers, garment.sway_thighs
         self._own = -garment.sway_rates.astype(np.float64) + 1j * garment.sway_turns
         self.forget()
 
@@ -50,6 +55,12 @@ class SwayNetwork:
         self._before = joints, row.gravity
         pose = np.r_[np.clip(joints, -BEYOND, BEYOND), row.gravity]
         return mlp(self._layers[2:], np.r_[self._state.real, self._state.imag, pose, self._drive])
+
+    def share(self, bones):
+        """How much of it is left where thighs are raised, 0 to 1. bones: transforms (b, 3, 4)."""
+        least = min([bones[k][2, 2] for k in self._thighs], default=1.0)
+        hangs = np.clip((least - LIES_ON) / (HANGS - LIES_ON), 0, 1)
+        return hangs**2 * (3 - 2 * hangs)
 
     def _move(self, joints, row, begins):
         moves = bool(row.moves) and not begins

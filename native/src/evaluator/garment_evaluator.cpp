@@ -107,7 +107,7 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
   corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
   if (detail_features_) given_features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
-  if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, input);
+  if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, bone_transforms_, input);
 }
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {

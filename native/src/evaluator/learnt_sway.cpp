@@ -36,8 +36,10 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
                        Arena& arena)
     : kernels_(kernels),
       joint_count_(g.sway_joint_count),
+      thigh_count_(g.sway_thigh_count),
       outputs_(g.sway_layers.back().outputs),
       joints_(arena.copy(g.sway_joints, g.sway_joint_count)),
+      thighs_(arena.copy(g.sway_thighs, g.sway_thigh_count)),
       middle_(arena.take<float>(joint_count_)),
       half_(arena.take<float>(joint_count_)),
       oscillators_(oscillators_of(g, arena)),
@@ -55,7 +57,8 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
   }
 }
 
-const float* LearntSway::added(const float* corrections, const float* positions, const GarmentInput& input) noexcept {
+const float* LearntSway::added(const float* corrections, const float* positions, const float* bone_transforms,
+                               const GarmentInput& input) noexcept {
   if (!(input.sway > 0)) {
     forget();
     return corrections;
@@ -72,8 +75,16 @@ const float* LearntSway::added(const float* corrections, const float* positions,
   std::copy_n(input.gravity, 3, pose + joint_count_);
   std::swap(now_, before_);
   const float* offsets = reader_.run(read_, nullptr);
-  for (int k = 0; k < outputs_; ++k) result_[k] = corrections[k] + input.sway * offsets[k];
+  const float share = input.sway * hanging(bone_transforms);
+  for (int k = 0; k < outputs_; ++k) result_[k] = corrections[k] + share * offsets[k];
   return result_;
+}
+
+float LearntSway::hanging(const float* bone_transforms) const noexcept {
+  float least = 1;
+  for (int k = 0; k < thigh_count_; ++k) least = std::min(least, bone_transforms[12 * thighs_[k] + 10]);
+  const float hangs = std::clamp((least - kLiesOn) / (kHangs - kLiesOn), 0.0f, 1.0f);
+  return hangs * hangs * (3 - 2 * hangs);
 }
 
 void LearntSway::move(const GarmentInput& input) noexcept {

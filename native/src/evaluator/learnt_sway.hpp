@@ -22,6 +22,10 @@ constexpr float kLongestStep = 1.0f;
 // Of scaled joints [1/s], the root's velocity [m/s] and its turning [rad/s]: what the network sees is never as much.
 constexpr double kLargestRate = 8, kLargestVelocity = 4, kLargestTurning = 8;
 
+// Cloth lies on a raised thigh, and no longer sways as cloth that hangs: where the less upright of the two is turned from
+// the vertical so far (cosine), nothing of its sway is left, and from the second on all of it.
+constexpr float kLiesOn = 0.5f, kHangs = 0.85f;
+
 class LearntSway {
  public:
   // Of a garment that has one. Layers that read joint positions and rates are packed in a precision of their own.
@@ -31,15 +35,18 @@ class LearntSway {
   void forget() noexcept { begins_ = true; }
 
   // The node deformer's corrections with what sways added, as much as the input says; valid until the next call.
-  // positions (dofs) in radians. The network knows gravity of a root that is not accelerated.
-  const float* added(const float* corrections, const float* positions, const GarmentInput& input) noexcept;
+  // positions (dofs) in radians, and what bones make of them. The network knows gravity of a root that is not accelerated,
+  // and of wind.
+  const float* added(const float* corrections, const float* positions, const float* bone_transforms,
+                     const GarmentInput& input) noexcept;
 
  private:
   void move(const GarmentInput& input) noexcept;
+  float hanging(const float* bone_transforms) const noexcept;
 
   const Kernels& kernels_;
-  int joint_count_, outputs_;
-  const std::int32_t* joints_;
+  int joint_count_, thigh_count_, outputs_;
+  const std::int32_t *joints_, *thighs_;
   float *middle_, *half_;  // (joints) of their limits
   Oscillators oscillators_;
   Mlp driver_, reader_;

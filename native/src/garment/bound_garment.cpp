@@ -69,6 +69,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.layers("sway_layers", g.sway_layers);
   visit.floats("sway_rates", g.sway_rates, {&g.sway_states});
   visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
+  visit.indices("sway_thighs", g.sway_thighs, {&g.sway_thigh_count}, 0, g.bones);
   visit_skinning_data(g, visit);
   visit_sampling(g, "guard_", g.guard, visit);
   visit.floats("guard_shares", g.guard_shares, {&g.guard.samples});
@@ -134,6 +135,7 @@ struct Describer {
                                                         {&g.face_count, "faces"},
                                                         {&g.sway_joint_count, "sway joints"},
                                                         {&g.sway_states, "oscillators"},
+                                                        {&g.sway_thigh_count, "thighs"},
                                                         {&g.guard.samples, "guard samples"},
                                                         {&g.guard.influences, "guard influences"},
                                                         {&g.guard.detail_influences, "guard detail influences"},

@@ -43,7 +43,7 @@ struct ClothSampling {
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1;
-  int sway_joint_count = -1, sway_states = -1;
+  int sway_joint_count = -1, sway_states = -1, sway_thigh_count = -1;
   int skin_parts = -1, skin_splines = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
@@ -69,6 +69,7 @@ struct BoundGarment : SkinningData {
   std::vector<DenseWeights> sway_layers;
   const float* sway_rates = nullptr;  // (sway_states,) 1/s
   const float* sway_turns = nullptr;  // (sway_states,) rad/s
+  const std::int32_t* sway_thighs = nullptr;  // (sway_thigh_count,) bones that hold sway back where they are raised
   bool sways_by_network() const { return !sway_layers.empty(); }
   // Samples of cloth that hangs free, and the skin that they are kept out of; or none. See SkinGuard.
   ClothSampling guard;
@@ -104,7 +105,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "7";
+constexpr char kBoundGarmentVersion[] = "8";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

@@ -22,7 +22,7 @@ def sway():
     rng = np.random.default_rng(0)
     bound = fold_body(random_sway_network(rng, DOFS, NODES, modulation=6), rng.normal(size=6))
     limits = {"dof_lower": -np.ones(DOFS), "dof_upper": np.ones(DOFS)}
-    return lambda: SwayNetwork(SimpleNamespace(**limits, **bound))
+    return lambda: SwayNetwork(SimpleNamespace(**limits, **bound, sway_thighs=()))
 
 
 POSE, OTHER, DOWN = np.linspace(-0.5, 0.6, DOFS), np.linspace(0.4, -0.3, DOFS), np.array([0.0, 0.6, -0.8])
@@ -125,6 +125,21 @@ def test_it_sways_by_the_network_alone(plain, swaying):
     at_rest = plain.drape(still)
     assert np.abs(of_nothing - at_rest).max() < 2e-5
     assert np.abs(swung - at_rest).max() > 1e-3 and np.abs(pendulum - at_rest).max() > 1e-3
+
+
+def test_cloth_that_lies_on_a_raised_thigh_sways_no_longer(plain, swaying):
+    draper, rig = bound_to(swaying, plain), plain.model.rig
+    thighs = np.array([k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")], dtype=np.int32)
+    draper.outfit = draper.outfit.giving(0, replace(draper.bound, sway_thighs=thighs))
+    left = []
+    for degrees in (0, 20, 45, 70):
+        pose = rig.rest.copy()
+        pose[rig.joint_names.index("upperleg01.L_y")] -= np.radians(degrees)
+        for k in range(6):
+            swung = draper.drape(pose, time=k / 30, root=(0.02 * k * k, 0, 0.9, 0, 0, 0, 1))
+        left.append(np.abs(swung - plain.drape(pose)).max())
+        draper.reset()
+    assert left[0] > 1e-3 and left[1] > 0.3 * left[0] and 0 < left[2] < 0.7 * left[0] and left[3] < 2e-5
 
 
 def test_without_time_or_sway_it_is_the_drape_bit_for_bit(plain, swaying):

@@ -51,7 +51,7 @@ def test_torch_and_the_reference_agree(step):
         offsets = network(drive, pose, code, step)[0].unflatten(1, (-1, 3, 4))
         here = torch.cat([offsets[..., :3].flatten(2), offsets[..., 3]], dim=2).flatten(1).numpy()
     folded = fold_body(exported(network, (network.out.weight, network.out.bias), joints, codes), modulation)
-    sway = SwayNetwork(SimpleNamespace(dof_lower=RIG.lower, dof_upper=RIG.upper, **folded))
+    sway = SwayNetwork(SimpleNamespace(dof_lower=RIG.lower, dof_upper=RIG.upper, sway_thighs=(), **folded))
     for frame in range(frames):
         row = FrameInput(gravity[frame], elapsed=-1.0)
         if frame:
