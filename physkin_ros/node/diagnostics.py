@@ -66,8 +66,9 @@ class AvatarStatistics:
     of a wind that cannot be. They count as rejections to warn about, but not as joint states. not_ready: joint states
     while there was nothing to drape yet, or the node was inactive. implausible: joint states that look like degrees,
     draped all the same; last_implausible says which joint. last_error: of a swap. last_stamp_ns: of the last joint
-    state that was draped, None before the first. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
-    offered: quality of service that topics are published with. missing: as `MissingMessages` counts joint states.
+    state that was draped, None before the first. strangers: who publishes something else than joint states on their
+    topic, which DDS does not deliver. offered: quality of service that topics are published with. missing: as
+    `MissingMessages` counts joint states.
     """
 
     received: int = 0
