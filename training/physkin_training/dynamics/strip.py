@@ -38,8 +38,8 @@ def draw_strip(reference: Reference, frames: list[int], draper: Draper) -> list[
         if k not in frames:
             continue
         body = Mesh(draper.avatar.posed_vertices(draper.bone_transforms(positions[k])), draper.avatar.faces)
-        still = draper.drape(positions[k], motion.gravity[k])[:, :3]
-        for row, vertices in zip(rows, (still, swaying, kept[k])):
+        (still,) = draper.layer.drape([(positions[k], motion.gravity[k])])  # beside, as it would end what sways
+        for row, vertices in zip(rows, (still[:, :3], swaying, kept[k])):
             row.append(render([body, Mesh(vertices, faces, CLOTH_COLOUR)], size=SIZE, azimuth=AZIMUTH))
     return rows
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
@@ -25,7 +26,9 @@ from physkin_core.quality import edge_strain
 from physkin_core.sway.frame_input import FrameInput
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
+from physkin_training.dynamics.scenes import scene_wind
 from physkin_training.dynamics.swing_figures import settling, swing, turning
+from physkin_training.energies.motion import Dynamics
 
 __all__ = ["evaluate_dynamics", "played", "references_of"]
 
@@ -61,15 +64,21 @@ def references_of(garment: str, folder: Path) -> list[Reference]:
 
 def played(draper: Draper, motion: Motion, *, kept: Sequence[int] | None = None) -> np.ndarray:
     """Whole drapes (T, n, 3) float32 with sway, of all frames or those `kept`, from hanging still."""
-    positions, roots = motion.positions_for(draper.model.rig), motion_roots(motion)
+    positions, roots, wind = motion.positions_for(draper.model.rig), motion_roots(motion), scene_wind(motion)
     draper.reset()
-    frames = range(motion.frame_count) if kept is None else kept
-    return np.stack([draper.drape(positions[k], time=k / motion.rate_hz, root=roots[k])[:, :3] for k in frames])
+    drapes = []
+    for k in range(motion.frame_count) if kept is None else kept:
+        draper.wind = wind[k]
+        drapes.append(draper.drape(positions[k], time=k / motion.rate_hz, root=roots[k])[:, :3])
+    draper.wind = np.zeros(3)
+    return np.stack(drapes)
 
 
 def _still(draper: Draper, motion: Motion) -> np.ndarray:
     """Whole drapes (T, n, 3) float32 without sway, of all frames."""
-    poses = zip(motion.positions_for(draper.model.rig), motion.gravity)
+    turn = Rotation.from_quat(motion.root_orientation).as_matrix()
+    gravity = Dynamics().effective_gravity(turn, scene_wind(motion)).astype(np.float32)
+    poses = zip(motion.positions_for(draper.model.rig), gravity)
     return np.stack([cloud[:, :3] for cloud in draper.layer.drape(poses)])
 
 
