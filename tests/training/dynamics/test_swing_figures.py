@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from physkin_training.dynamics.swing_figures import turning
+from physkin_core.motion.motion import Motion
+from physkin_training.dynamics.swing_figures import octaves, turning
 
 
 def test_a_hem_that_twists_and_flares():
@@ -16,3 +17,14 @@ def test_a_hem_that_twists_and_flares():
     frames[2, hem, :2] = wide * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert turning(frames) == pytest.approx({"twist_degrees": 20, "flare_mm": 30})
     assert turning(frames[:1]) == pytest.approx({"twist_degrees": 0, "flare_mm": 0}, abs=1e-9)
+
+
+def test_octaves_tell_slow_motion_from_quick_one():
+    """Half of a slow swing and twice a quick one, which nothing else moves."""
+    times = np.arange(600) / 60
+    still = np.zeros((600, 3, 3)) + [[0, 0, 0], [0, 0, -1], [0, 0, -2]]
+    slow, quick = (np.sin(2 * np.pi * rate * times)[:, None, None] * [1, 0, 0] for rate in (0.75, 3.0))
+    motion = Motion((), np.zeros((600, 0)), np.tile([0, 0, 0, 1.0], (600, 1)), np.zeros((600, 3)), 60.0)
+    found = octaves(still + 0.5 * slow + 2 * quick, still + slow + quick, motion)
+    assert list(found) == ["0.5", "1", "2", "4"]
+    assert found["0.5"] == pytest.approx(0.5, rel=0.01) and found["2"] == pytest.approx(2, rel=0.01)

@@ -1,5 +1,5 @@
 """How points of a hem swing: amplitude and phase of a swinging root, overshoot and settling after a stop, twist and
-flare in a turn.
+flare in a turn, and how much moves at which rates.
 
 Dimensions: `T` frames, `k` points. Metres, root frame.
 """
@@ -10,12 +10,14 @@ import numpy as np
 
 from physkin_core.motion.motion import Motion
 
-__all__ = ["settling", "swing", "turning"]
+__all__ = ["OCTAVES", "octaves", "settling", "swing", "turning"]
 
 LOWEST = 0.34
 """Share of the points, the lowest, that are looked at."""
 SETTLED = 0.1
 """Cloth has settled when it stays within this share of the simulation's largest displacement after the stop."""
+OCTAVES = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""[Hz] the ends of the bands that are looked at."""
 STEADY_FROM = 1.6
 """[s] from the beginning of a scene until the root's swing is steady."""
 
@@ -62,6 +64,21 @@ def turning(points: np.ndarray) -> dict[str, float]:
     twist = np.angle(across * across[0].conj()).mean(axis=1)
     outwards = (np.abs(across) - np.abs(across[0])).mean(axis=1)
     return {"twist_degrees": float(np.degrees(np.abs(twist).max())), "flare_mm": 1000 * float(outwards.max())}
+
+
+def octaves(points: np.ndarray, simulated: np.ndarray, motion: Motion) -> dict[str, float]:
+    """How fast the lowest points (of (T, k, 3)) move to and fro in each octave from 0.5 to 8 Hz, over what simulated
+    ones do: ratios of root mean squares, by the lower end of the octave [Hz]."""
+
+    def rates(of: np.ndarray) -> np.ndarray:
+        velocity = np.diff(_low(of).astype(np.float64), axis=0)
+        window = np.hanning(len(velocity))[:, None, None]
+        return (np.abs(np.fft.rfft((velocity - velocity.mean(axis=0)) * window, axis=0)) ** 2).sum(axis=(1, 2))
+
+    frequency = np.fft.rfftfreq(len(points) - 1, 1 / motion.rate_hz)
+    own, theirs = rates(points), rates(simulated)
+    bands = [(frequency >= low) & (frequency < high) for low, high in zip(OCTAVES, OCTAVES[1:])]
+    return {f"{low:g}": float(np.sqrt(own[band].sum() / theirs[band].sum())) for low, band in zip(OCTAVES, bands)}
 
 
 def _low(points: np.ndarray) -> np.ndarray:

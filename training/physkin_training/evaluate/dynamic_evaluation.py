@@ -26,8 +26,8 @@ from physkin_core.quality import edge_strain
 from physkin_core.sway.frame_input import FrameInput
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
-from physkin_training.dynamics.scenes import scene_wind
-from physkin_training.dynamics.swing_figures import settling, swing, turning
+from physkin_training.dynamics.scenes import ROOT_SCENES, scene_wind
+from physkin_training.dynamics.swing_figures import octaves, settling, swing, turning
 from physkin_training.energies.motion import Dynamics
 
 __all__ = ["evaluate_dynamics", "played", "references_of"]
@@ -93,9 +93,9 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     In `dynamic`: `rmse_mm`, `moving_rmse_mm`, `velocity_rmse_ms`, `potential_ratio` (incremental potential over the
     simulation's, gravity counted from there), with the same of drapes without sway under `quasi_static`; `at_rest_mm`;
     `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
-    by frequency, each `simulated`, `quasi_static` and `swaying`; `rate_divergence_mm`, `drop_divergence_mm`;
-    `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still moves in a frame three seconds after a
-    stop; `added_step_us` that time and root add to a step of the evaluator.
+    by frequency, each `simulated`, `quasi_static` and `swaying`; `octaves` of clips, see there, of the last two;
+    `rate_divergence_mm`, `drop_divergence_mm`; `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still
+    moves in a frame three seconds after a stop; `added_step_us` that time and root add to a step of the evaluator.
     """
     body_model = load_body_model()
     drapers = {
@@ -179,6 +179,12 @@ def _potentials(rows: list[Played], model: GarmentModel, body_model: BodyModel, 
 def _swinging(rows: list[Played]) -> dict:
     kinds = ("simulated", "quasi_static", "swaying")
     found: dict = {"swings": {}}
+    clips = [row for row in rows if row.reference.motion.name not in ROOT_SCENES]
+    if clips:
+        found["octaves"] = {
+            kind: _mean([octaves(getattr(row, kind), row.simulated, row.reference.motion) for row in clips])
+            for kind in kinds[1:]
+        }
     for name in sorted({row.reference.motion.name for row in rows}):
         of_scene = [row for row in rows if row.reference.motion.name == name]
         if name.startswith("swing-"):
