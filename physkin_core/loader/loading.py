@@ -38,7 +38,7 @@ from physkin_core.separation.limb_separator import BoundLimbs, fit_limbs
 
 __all__ = ["KEPT_BYTES", "Loading"]
 
-KEPT_BYTES = 128_000_000
+KEPT_BYTES = 144_000_000
 """Of models, avatars and outfits that were loaded last."""
 
 

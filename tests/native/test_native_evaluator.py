@@ -62,7 +62,7 @@ def test_a_drape_by_itself_agrees_with_the_reference(shape, make_garment, make_p
             assert_agrees(out, *skin(g, nodes))
 
 
-@pytest.mark.parametrize("shape, thighs", [("odd widths", [2, 5]), ("many influences", []), ("default rig", [9])])
+@pytest.mark.parametrize("shape, thighs", [("odd widths", [1]), ("many influences", []), ("default rig", [9])])
 def test_a_motion_agrees_with_the_reference(shape, thighs, make_garment, make_frames):
     """Frames that are told anything: pace, twist and a sway network, each of which moves the cloth. A bound step gives
     the same bits."""

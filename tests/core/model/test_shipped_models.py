@@ -24,7 +24,7 @@ def test_the_files_are_small():
     """A clone carries every version of them."""
     sizes = {path.stem: path.stat().st_size for path in MODELS_PATH.glob("*.safetensors")}
     assert sorted(sizes) == sorted(GARMENTS) == shipped_models()
-    assert max(sizes.values()) <= 2e6 and sum(sizes.values()) <= 28e6
+    assert max(sizes.values()) <= 2.1e6 and sum(sizes.values()) <= 28e6  # a sway network is a tenth of a file
 
 
 @pytest.mark.parametrize("name", GARMENTS)

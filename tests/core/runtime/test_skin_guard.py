@@ -87,7 +87,7 @@ def test_legs_that_march_stay_under_the_skirt(skirt):
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
     guarded, free = (walked(skirt, bound, motion) for bound in (skirt.layer.given, skirt.layer.given.unguarded))
     seen, without = inside(skirt, motion, guarded, legs), inside(skirt, motion, free, legs)
-    assert without.max() > 20
+    assert without.max() > 15
     assert seen.max() <= 3
     rest = skirt.layer.rest_garment
     assert edge_strain(rest, guarded).mean() < edge_strain(rest, free).mean() + 0.04
@@ -157,7 +157,7 @@ def reached(rig, frames: int, back: float = 0.4) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def circleskirt():
-    return on_the_avatar(load_garment_model("circleskirt"))
+    return on_the_avatar(replace(load_garment_model("circleskirt"), sway=None))
 
 
 def test_a_hand_presses_the_cloth_in(circleskirt):

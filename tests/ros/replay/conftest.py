@@ -28,9 +28,9 @@ def draper(leaning_model_path, avatar):
 @pytest.fixture(scope="session")
 def motion():
     """A few frames of a body that leans."""
-    clip = load_motion("crawl")
+    clip = load_motion("cartwheel")
     fields = ("positions", "root_orientation", "root_position")
-    return Motion(clip.joint_names, *(getattr(clip, name)[:12] for name in fields), clip.rate_hz, "crawl")
+    return Motion(clip.joint_names, *(getattr(clip, name)[:12] for name in fields), clip.rate_hz, "cartwheel")
 
 
 @pytest.fixture(scope="session")
