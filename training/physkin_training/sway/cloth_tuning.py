@@ -29,7 +29,7 @@ from physkin_training.sway.windows import STRIDES, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
-ENERGY, GROWS_FOR = 0.3, 0.5
+ENERGY, GROWS_FOR = 0.03, 0.5
 """How much energies count, in shares of that of cloth that swings as far as it is from where it is on average, against
 squared distances, in shares of that; and the share of the steps in which it grows to that: strain is taken out little
 by little, as less swing would be the quickest way."""

@@ -45,8 +45,8 @@ class SwayPlan:
     rounds: int = 5
     seconds: float = 5.0
     held_above: float = math.inf
-    steps: int = 5000
-    tuning_steps: int = 2000
+    steps: int = 14000
+    tuning_steps: int = 9000
     seed: int = 0
 
     def __post_init__(self) -> None:
