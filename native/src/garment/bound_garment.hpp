@@ -67,8 +67,8 @@ struct BoundGarment : SkinningData {
   // How garment nodes sway as joints and root move, or none: they do not.
   const std::int32_t* sway_joints = nullptr;  // (sway_joint_count,) that it looks at
   std::vector<DenseWeights> sway_layers;
-  const float* sway_rates = nullptr;  // (sway_states,) 1/s
-  const float* sway_turns = nullptr;  // (sway_states,) rad/s
+  const float* sway_rates = nullptr;          // (sway_states,) 1/s
+  const float* sway_turns = nullptr;          // (sway_states,) rad/s
   const std::int32_t* sway_thighs = nullptr;  // (sway_thigh_count,) bones that hold sway back where they are raised
   bool sways_by_network() const { return !sway_layers.empty(); }
   // Samples of cloth that hangs free, and the skin that they are kept out of; or none. See SkinGuard.

@@ -6,11 +6,6 @@
 namespace physkin {
 namespace {
 
-constexpr double kLargestFelt = 2.999;  // in units of gravity: a pendulum never asks for what would be refused
-
-// std::hypot of three is 0 where two are and the third is no number.
-double length_of(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
-
 // What is left when nothing but gravity is known.
 GarmentInput under(const double* gravity) {
   GarmentInput row;

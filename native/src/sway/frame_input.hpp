@@ -2,9 +2,9 @@
 // moves, and how much time has passed. The one place where that is worked out: Python, the ROS node, replay and C hosts
 // fill the rows that Evaluator::step reads by it.
 //
-// In each frame first where down is, by one of `hang`, `accelerate`, `follow` and `move`; then the time, by `begin_frame`
-// or `begin_still_frame`, which add the wind. Functions that can refuse their values return what is wrong with them, or null; nothing has
-// changed then.
+// In each frame first where down is, by one of `hang`, `accelerate`, `follow` and `move`; then the time, by
+// `begin_frame` or `begin_still_frame`, which add the wind. Functions that can refuse their values return what is wrong
+// with them, or null; nothing has changed then.
 #pragma once
 
 #include <vector>

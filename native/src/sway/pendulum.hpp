@@ -12,6 +12,8 @@
 // solved in closed form, whatever time has passed: nothing depends on a rate.
 #pragma once
 
+#include <cmath>
+
 namespace physkin {
 
 constexpr double kStandardGravity = 9.81;  // [m/s2] what a direction of gravity stands for
@@ -56,6 +58,9 @@ class Pendulum {
   float gravity_[3];
   bool has_time_, has_velocity_;
 };
+
+// Of a vector (3). std::hypot of three is 0 where two are and the third is no number.
+inline double length_of(const double* v) noexcept { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
 // A vector (3) of the world in the frame of a root with that turn.
 void carry_back(const double* turn, const double* v, double* out) noexcept;

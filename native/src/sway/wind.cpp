@@ -6,13 +6,6 @@
 #include "sway/pendulum.hpp"
 
 namespace physkin {
-namespace {
-
-constexpr double kLargestFelt = 2.999;  // in units of gravity: never what would be refused
-
-double length_of(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
-
-}  // namespace
 
 const char* Wind::set(const double* velocity) noexcept {
   if (!(length_of(velocity) <= kLargestWind)) return "wind must be (3,), finite, up to 13 m/s";
