@@ -104,10 +104,10 @@ def main() -> None:
         for kind in (".glb", ".usdc"):
             file, picture = str(folder / f"walk{kind}"), str(folder / f"walk{kind}.png")
             look = str(folder / "garment.obj")
-            physkin(["export", "walk", *worn, "--look", look, "--rate", str(RATE), "-o", file])
+            physkin(["export", "walk", *worn, "--materials", look, "--rate", str(RATE), "-o", file])
             subprocess.run([sys.executable, __file__, file, picture], check=True, stdout=subprocess.DEVNULL)
             pictures.append(np.array(Image.open(picture).convert("RGB")))
-        captions = ["physkin, plain", "Blender, .glb with --look", "Blender, .usdc with --look"]
+        captions = ["physkin, plain", "Blender, .glb with --materials", "Blender, .usdc with --materials"]
         sheet = contact_sheet(pictures, columns=3, captions=captions, gap=4)
     Image.fromarray(sheet).save(DRAWING, quality=86, optimize=True)
     print(f"wrote {DRAWING}")

@@ -33,7 +33,7 @@ physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=
 Parameters marked \\* may change while the node runs; all others are fixed once it is configured. Where no unit is
 given, lengths are in metres, angles in radians and times in seconds.
 """
-TYPES = {"str": "text", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
+TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
 PARTS = (
     ("Of the node", "", NodeSettings),
     ("Of each avatar", "For a single avatar `KEY`, for several `avatars.ID.KEY`.", AvatarSettings),
@@ -59,7 +59,7 @@ def _parameters() -> Iterator[str]:
 
 
 def _parameter(name: str, kind: str, setting: Setting) -> str:
-    text = TYPES.get(kind) or f"list of {'texts' if 'str' in kind else 'numbers'}"
+    text = TYPES.get(kind) or f"list of {'strings' if 'str' in kind else 'numbers'}"
     default = _default(setting.declared)
     allowed = f" Allowed: {_range(setting)}." if _range(setting) else ""
     mark = " \\*" if setting.changes else ""

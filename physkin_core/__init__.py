@@ -1,9 +1,11 @@
 """PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
 
+from typing import TYPE_CHECKING
+
 from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
-from physkin_core.model.fabric import FABRICS, Fabric, made_of
+from physkin_core.model.fabric import FABRICS, Fabric, with_fabric
 from physkin_core.model.garment import Garment, GarmentError, load_garment
 from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
@@ -14,6 +16,7 @@ from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.points.splats import Splats
+from physkin_core.renamed import attribute_error
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.layer import Layer, WornGarment
@@ -57,6 +60,12 @@ __all__ = [
     "load_garment",
     "load_garment_model",
     "load_motion",
-    "made_of",
+    "with_fabric",
     "save_garment_model",
 ]
+
+
+if not TYPE_CHECKING:  # to a type checker a name that does not exist stays one
+
+    def __getattr__(name: str):
+        raise attribute_error(__name__, name)

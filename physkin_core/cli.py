@@ -35,6 +35,7 @@ from physkin_core.outfit.outfit_options import (
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
+from physkin_core.renamed import check_options
 from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["main"]
@@ -98,7 +99,7 @@ PICTURE_SIZE = (800, 1000)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit status: 0, 2 after an error that the user can mend, 1 after one of ours (and where
-    a command says so); both are told in one line, unless `--debug` is among the arguments."""
+    a command says so); both print one line, unless `--debug` is among the arguments."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     ours = arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments
     if debug := DEBUG in ours:
@@ -115,15 +116,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         except Exception as error:
             if debug:
                 raise
-            return _told(error, arguments)
+            return _report(error, arguments)
 
 
 def _run(arguments: list[str]) -> int:
+    check_options(arguments)
     try:
         if arguments and arguments[0] in FORWARDED:
             status = import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
         else:
-            options = _parser().parse_args(arguments)
+            options = _parser().parse_args(arguments or ["--help"])
             status = options.run(options)
     except SystemExit:  # after help
         sys.stdout.flush()
@@ -132,7 +134,7 @@ def _run(arguments: list[str]) -> int:
     return status
 
 
-def _told(error: Exception, arguments: list[str]) -> int:
+def _report(error: Exception, arguments: list[str]) -> int:
     """Say what went wrong, and what to do. Returns the exit status."""
     extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
     if extra is not None:

@@ -1,4 +1,4 @@
-"""`physkin doctor`: looks whether this installation works, and says what to do where it does not."""
+"""`physkin doctor`: check this installation, and say what to do where something does not work."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ DOCTORS = {
     "physkin_ros.middleware.doctor": ("rclpy",),
     "physkin_training.doctor": ("torch", "warp"),
 }
-"""Module with a `look()` -> what has to be installed for it to be of use. A part that is not installed is told as an
-extra that is missing."""
+"""Module with a `look()` -> what has to be installed for it to be of use. A part that is not installed is reported
+as a missing extra."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """subject: what it is about. state: "good", "absent" (what it brings cannot be used, the rest can) or "broken"
-    (installed or needed, and does not work). said: what was found. remedy: what to do; empty if nothing."""
+    """subject: what it is about. state: "good", "note" (all else works without it) or "broken" (installed or
+    needed, and does not work). found: in words. remedy: what to do; empty if nothing."""
 
     subject: str
-    state: Literal["good", "absent", "broken"]
-    said: str
+    state: Literal["good", "note", "broken"]
+    found: str
     remedy: str = ""
 
 
@@ -46,14 +46,14 @@ def main(argv: list[str]) -> int:
     for finding in _findings():
         findings.append(finding)
         if not options.json:
-            print(f"{finding.state:<6}  {finding.subject:<15} {finding.said}", flush=True)
+            print(f"{finding.state:<6}  {finding.subject:<15} {finding.found}", flush=True)
             if finding.remedy:
                 print(f"{'':24}-> {finding.remedy}", flush=True)
     broken = sum(finding.state == "broken" for finding in findings)
     if options.json:
         print(json.dumps([asdict(finding) for finding in findings], indent=1))
     else:
-        print(f"\n{broken} broken" if broken else "\nall that is installed works")
+        print(f"\n{broken} broken" if broken else "\neverything that is installed works")
     return 1 if broken else 0
 
 
@@ -63,7 +63,7 @@ def _findings() -> Iterator[Finding]:
             continue
         try:
             yield from import_module(module).look()
-        except Exception as error:  # whatever an installation raises that is not whole: it is told, and the rest seen
+        except Exception as error:  # whatever a damaged installation raises: report it, and go on
             part = module.split(".")[0]
-            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            yield Finding(part, "broken", said, "install what it names again; physkin --debug shows where")
+            found = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            yield Finding(part, "broken", found, "install what it names again; physkin --debug shows where")

@@ -93,12 +93,12 @@ def _compiler() -> Finding:
         if path := shutil.which(name):
             return Finding("compiler", "good", f"{path} (only needed to build from source)")
     remedy = "to build from source: apt install g++, or another GCC or Clang with C++17"
-    return Finding("compiler", "absent", "none found; a wheel needs none", remedy)
+    return Finding("compiler", "note", "none found; a wheel needs none", remedy)
 
 
 def _extra(extra: str) -> Finding:
     missing = [package for package in EXTRAS[extra] if find_spec(package) is None]
     if missing:
         said = f"lacks {', '.join(missing)}" if len(missing) < len(EXTRAS[extra]) else "not installed"
-        return Finding(f"[{extra}]", "absent", said, install_command(extra))
+        return Finding(f"[{extra}]", "note", said, install_command(extra))
     return Finding(f"[{extra}]", "good", "installed")

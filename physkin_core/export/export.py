@@ -45,7 +45,7 @@ def command_parser() -> argparse.ArgumentParser:
     add_wind_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
-        "--look",
+        "--materials",
         action="append",
         default=[],
         type=Path,
@@ -75,11 +75,11 @@ def main(argv: list[str]) -> int:
     kind = options.output.suffix.lower()
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
-    check_other_file(options.output, options.avatar, options.motion, *options.look)
+    check_other_file(options.output, options.avatar, options.motion, *options.materials)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
     body = slice(None) if kind == ".glb" else outfit.faces_to_draw  # a .glb leaves out by its own frames
-    looks = [avatar_look(outfit.body_to_draw, body), *garment_looks(options.look, outfit)]
+    looks = [avatar_look(outfit.body_to_draw, body), *garment_looks(options.materials, outfit)]
     not_shown = WRITERS[kind](options.output, outfit, motion, looks=looks)
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
@@ -91,7 +91,7 @@ def _write_page(options: argparse.Namespace) -> int:
     if options.web.exists() and not options.web.is_dir():
         raise ValueError(f"cannot write {options.web}: it is a file; name a folder")
     motion, outfit = read_motion(options), dressed(options, whole=True)
-    size = write_web_page(options.web, outfit, motion, garment_looks(options.look, outfit))
+    size = write_web_page(options.web, outfit, motion, garment_looks(options.materials, outfit))
     print(f"wrote {options.web}: {size / 1e6:.1f} MB; to see it: python3 -m http.server -d {options.web}")
     return 0
 

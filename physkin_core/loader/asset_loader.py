@@ -14,9 +14,9 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.runtime.evaluator import Precision
 from physkin_core.worker.process import Worker
 
-__all__ = ["LOAD_MEMORY", "LOAD_SECONDS", "AssetLoader"]
+__all__ = ["LOAD_MEMORY_LIMIT", "LOAD_TIMEOUT", "AssetLoader"]
 
-LOAD_SECONDS, LOAD_MEMORY = 180.0, 4096
+LOAD_TIMEOUT, LOAD_MEMORY_LIMIT = 180.0, 4096
 """[s] and [MiB] that one request may take."""
 
 
@@ -29,7 +29,7 @@ class AssetLoader:
     process was ended, has needed too much, was cancelled, or is closed.
     """
 
-    def __init__(self, *, seconds: float = LOAD_SECONDS, memory: int = LOAD_MEMORY) -> None:
+    def __init__(self, *, seconds: float = LOAD_TIMEOUT, memory: int = LOAD_MEMORY_LIMIT) -> None:
         self._worker = Worker("physkin_core.loader.loading_process", CODEC, seconds=seconds, memory=memory)
         self._worn: WeakValueDictionary[tuple[str, Precision | None, str], Outfit] = WeakValueDictionary()
 
@@ -52,7 +52,7 @@ class AssetLoader:
         loaded: LoadedOutfit = self._worker.ask(replace(request, known=known), what)
         key = loaded.key, precision, normals
         if loaded.bound is not None:
-            outfit = Outfit.of_bound(loaded.bound, precision=precision, normals=normals)
+            outfit = Outfit.from_bound(loaded.bound, precision=precision, normals=normals)
         else:
             outfit = worn[key].twin()
             outfit.avatar = replace(outfit.avatar, source=request.body)  # the same body may have another name

@@ -73,8 +73,8 @@ class Loading:
         ]
         body = Path(request.body)
         with _unchanged(_files_of(body, request.rig_file)) as body_digest:
-            made_of = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
-            key = _digest(repr((body_digest, made_of, request.hide, request.own_clothes)).encode())
+            with_fabric = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
+            key = _digest(repr((body_digest, with_fabric, request.hide, request.own_clothes)).encode())
             bound = self._kept.get(key)
             if cached := bound is not None:
                 bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name

@@ -85,12 +85,12 @@ CLOTHS = {
 
 
 def cloth_of(fabric: str) -> Cloth:
-    """How a fabric looks, as `made_of` takes it; as jersey where it has no name."""
+    """How a fabric looks, as `with_fabric` takes it; as jersey where it has no name."""
     return CLOTHS.get(split_colour(fabric)[0], CLOTHS["jersey"])
 
 
 def cloth_colour(fabric: str, usual: Colour) -> Colour:
-    """The colour of what was made of a fabric, as `made_of` takes it: the one named, the fabric's own, or the usual."""
+    """The colour that `fabric`, as `with_fabric` takes it, names; else the fabric's own; else the usual one."""
     name, colour = split_colour(fabric)
     own = CLOTHS[name].colour if name in CLOTHS else None
     if colour is None and own is not None:
@@ -129,7 +129,7 @@ class ClothLook(Look):
 
 
 def cloth_look(mesh: Garment, fabric: str, faces: np.ndarray, colour: Colour) -> ClothLook | None:
-    """The look of some faces, a mask (f,), of a garment made of a fabric, as `made_of` takes it, in a colour, and
+    """The look of some faces, a mask (f,), of a garment made of a fabric, as `with_fabric` takes it, in a colour, and
     finishes on these faces' own vertices; None for a garment that was not cut flat: nobody knows where its grain
     runs."""
     if mesh.panel_places is None or mesh.panel_faces is None:

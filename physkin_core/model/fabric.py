@@ -1,4 +1,4 @@
-"""What cloth a garment is made of, and in which colour, chosen when it is put on: nothing a frame.
+"""What cloth a garment is made of, and in which colour: chosen when it is put on, at no cost per frame.
 
 A drape at rest hangs on ratios alone. Cloth that weighs twice as much, or stretches twice as easily and bends half as
 stiffly, hangs like the trained one under twice the gravity, which networks know from accelerated roots; what is left is
@@ -19,7 +19,7 @@ from physkin_core.file_reading import shown
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import with_bending
 
-__all__ = ["COLOURS", "FABRICS", "Fabric", "made_of", "said_of", "split_colour"]
+__all__ = ["COLOURS", "FABRICS", "Fabric", "with_fabric", "parse_fabric", "split_colour"]
 
 LIGHTEST, HEAVIEST = 0.25, 1.75
 """Weight over stretch that a garment may have, in times that of the trained cloth: networks know roots that accelerate
@@ -28,9 +28,15 @@ until nothing weighs anything, or three times as much."""
 
 @dataclass(frozen=True)
 class Fabric:
-    """stretch: Young's modulus of the cloth [N/m]. bend: stiffness of the dihedral energy [J]. density [kg/m2].
+    """How cloth stretches, bends and weighs.
 
-    Raises ValueError naming a value that is not above 0.
+    Args:
+        stretch: Young's modulus of the membrane [N/m].
+        bend: stiffness of the dihedral energy [J].
+        density: mass by area [kg/m2].
+
+    Raises:
+        ValueError: naming a value that is not a finite number above 0.
 
     Examples:
         >>> canvas = physkin.Fabric(stretch=400.0, bend=3e-5, density=0.3)
@@ -106,12 +112,9 @@ def _is_colour(text: str) -> bool:
     return text.startswith("#") or text in COLOURS
 
 
-def said_of(text: str) -> dict[str, float]:
-    """What the name of a fabric, or numbers such as "stretch=120+bend=3e-5", say of it, whatever its colour: some
-    fields of `Fabric`, none where there is a colour alone.
-
-    Raises ValueError saying what is allowed.
-    """
+def parse_fabric(text: str) -> dict[str, float]:
+    """Fields of `Fabric` that a text gives: all for a name, some for numbers such as "stretch=120+bend=3e-5", none for
+    a colour alone. Raises ValueError saying what is allowed."""
     text, colour = split_colour(text)
     if not text and colour is not None:
         return {}
@@ -132,8 +135,8 @@ def said_of(text: str) -> dict[str, float]:
 
 
 def _fabric_for(text: str, model: GarmentModel) -> Fabric:
-    """A fabric by its name or by numbers, for a garment model (see `made_of`)."""
-    said, material = said_of(text), model.material
+    """A fabric by its name or by numbers, for a garment model (see `with_fabric`)."""
+    said, material = parse_fabric(text), model.material
     text = split_colour(text)[0]
     own = Fabric(material.youngs_modulus, material.bending, material.density)
     if text not in FABRICS:
@@ -144,22 +147,30 @@ def _fabric_for(text: str, model: GarmentModel) -> Fabric:
     return Fabric(own.stretch * stretch, own.bend * bend, own.density * density)
 
 
-def made_of(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
-    """The garment made of another fabric, by name or by numbers (see `said_of`), and in another colour where the text
-    ends in one: a model like any other. What is given as text is how it looks, too.
+def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
+    """The same garment in another fabric and colour.
 
-    A name stands for ratios to jersey, of what the model was trained as; where it has not learnt to bend so, for the
-    nearest that it has learnt. Numbers are what they say, and what they leave out is the model's own.
-    Raises ValueError for a fabric that the model has not learnt, saying what is allowed.
+    Args:
+        model: the garment as it was trained.
+        fabric: a name ("denim"), numbers ("bend=2e-5+density=0.18"), a colour ("navy", "#334"), a name with a colour
+            ("denim:navy"), or a `Fabric`. A name multiplies what the model was trained as by that fabric's ratios to
+            jersey; if the model has not learnt cloth as stiff or soft, it takes the nearest that it has learnt.
+            Numbers are taken as they are; those left out stay the model's own. Text also decides the look.
+
+    Returns:
+        A model like any other: it can be draped, saved and measured.
+
+    Raises:
+        ValueError: for an unknown name, and for a fabric outside of what the model has learnt, naming the limits.
 
     Examples:
-        >>> skirt = physkin.made_of(physkin.load_garment_model("skirt"), "denim:navy")
+        >>> skirt = physkin.with_fabric(physkin.load_garment_model("skirt"), "denim:navy")
         >>> canvas = physkin.Fabric(stretch=400.0, bend=3e-5, density=0.3)
-        >>> stiff = physkin.made_of(physkin.load_garment_model("skirt"), canvas)
+        >>> stiff = physkin.with_fabric(physkin.load_garment_model("skirt"), canvas)
     """
     if isinstance(fabric, str):
         model = replace(model, fabric=fabric)
-        if not said_of(fabric):
+        if not parse_fabric(fabric):
             return model
     material = model.material
     if not model.hyper_modulator["bend"].any() or not material.bending:

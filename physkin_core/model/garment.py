@@ -26,6 +26,7 @@ from physkin_core.model.rest_shape import (
     side_lengths,
     turned_edges,
 )
+from physkin_core.renamed import refuse_old_names
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
@@ -70,6 +71,7 @@ def surface_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
     return None
 
 
+@refuse_old_names
 @dataclass(frozen=True, eq=False)
 class Garment:
     """A triangle mesh in canonical space with rest lengths, areas and hinges.
@@ -141,7 +143,7 @@ class Garment:
         other._set(vertices=vertices, **other._at_rest(edges, areas))
         return other
 
-    def of_faces(self, chosen: np.ndarray) -> Garment:
+    def submesh(self, chosen: np.ndarray) -> Garment:
         """Some faces, a mask (f,), and their vertices, in their order, with the same rest shape."""
         used, faces = np.unique(self.faces[chosen], return_inverse=True)
         other = Garment(self.vertices[used], faces.reshape(-1, 3))

@@ -92,7 +92,8 @@ class SkinnedGarment:
     skinning's linear part says. node_rest: (m, 3); node_bone: (m,) index into `rig`. influence_nodes: (n, K) index;
     influence_weights: (n, K), rows sum to 1. engine_nodes, engine_weights: (n, k), the same with the few influences
     that engines take, learnt beside. detail: folds between garment nodes; None for none. fabric: what it was made of
-    when it was put on, as `made_of` takes it, and so what it looks like; empty for as it was trained. No file holds it.
+    when it was put on, as `with_fabric` takes it; empty for what it was trained as. It decides the look, and no file
+    holds it.
     """
 
     name: str

@@ -20,7 +20,7 @@ import numpy as np
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.formats.deflated_tensors import deflate_tensors, inflate_tensors
 from physkin_core.formats.packed_weights import pack_weight, unpack_weights
-from physkin_core.model.fabric import made_of
+from physkin_core.model.fabric import with_fabric
 from physkin_core.model.faces_of_panels import told_by_panels, with_faces
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.garment_model import GarmentModel, Material
@@ -61,7 +61,7 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
 
     path: a file, or the name of a shipped garment ("tshirt"), which comes before a file of that name. After a colon it
     may say which fabric the garment is to be made of ("skirt:denim", "my.safetensors:bend=1e-4"), and after another
-    colon in which colour ("skirt:denim:navy", "skirt:#334"); see `made_of`.
+    colon in which colour ("skirt:denim:navy", "skirt:#334"); see `with_fabric`.
     content: what `model_content` has read of the file already; None: the file is read.
 
     Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
@@ -84,7 +84,7 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
                 f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
             )
         model = _model(path, metadata, tensors)
-    return made_of(model, fabric) if fabric else model
+    return with_fabric(model, fabric) if fabric else model
 
 
 def model_content(path: str | Path) -> bytes:

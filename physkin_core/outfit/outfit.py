@@ -82,7 +82,7 @@ class Outfit:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
 
     @classmethod
-    def of_bound(
+    def from_bound(
         cls,
         bound: BoundOutfit,
         *,

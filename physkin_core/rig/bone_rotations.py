@@ -10,6 +10,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from physkin_core.renamed import refuse_old_names
 from physkin_core.rig.ball_joints import BallJoint, BallRotations
 from physkin_core.rig.rig import Rig, RigError
 from physkin_core.rig.vrm_bones import VRM_AXES, rig_ball_joint, vrm_ball_joints
@@ -22,6 +23,7 @@ NORM_TOLERANCE = 1e-3
 NEGLIGIBLE = 1e-12  # [rad] an angle of this size is rounding of zero
 
 
+@refuse_old_names
 class BoneRotations:
     """Takes rotations of bones apart into the joint positions of a rig.
 
@@ -74,7 +76,7 @@ class BoneRotations:
             if given.shape != (len(self.bone_names), 4):
                 raise RigError(f"bone rotations have shape {given.shape}, expected ({len(self.bone_names)}, 4)")
             rotations = dict(zip(self.bone_names, given))
-        if unknown := self.unknown(rotations):
+        if unknown := self.unknown_bones(rotations):
             close = ", ".join(get_close_matches(str(unknown[0]), self.bone_names, cutoff=0.4))
             raise RigError(
                 f"no bone {unknown[0]!r}; {f'did you mean {close}?' if close else ', '.join(self.bone_names)}"
@@ -91,7 +93,7 @@ class BoneRotations:
         positions[named] = self._rig.rest[named] + solved[named]
         return positions
 
-    def unknown(self, names: Iterable[str]) -> list[str]:
+    def unknown_bones(self, names: Iterable[str]) -> list[str]:
         """Those of the names that are no bones."""
         return [name for name in names if name not in self._row]
 

@@ -98,7 +98,7 @@ class Layer:
     def given_garment(self) -> Garment:
         """What of `rest_garment` is given."""
         every = len(self.faces) == len(self.bound.faces)
-        return self.rest_garment if every else self.rest_garment.of_faces(self.face_given)
+        return self.rest_garment if every else self.rest_garment.submesh(self.face_given)
 
     @cached_property
     def hem_distance(self) -> np.ndarray:

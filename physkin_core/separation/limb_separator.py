@@ -79,7 +79,7 @@ class LimbSeparator:
         self._bind(fit_limbs(rig, avatar))
 
     @classmethod
-    def of_bound(cls, limbs: BoundLimbs) -> LimbSeparator:
+    def from_bound(cls, limbs: BoundLimbs) -> LimbSeparator:
         """The separator of limbs that were fitted already, maybe by another process."""
         separator = cls.__new__(cls)
         separator._bind(limbs)

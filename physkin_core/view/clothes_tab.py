@@ -63,12 +63,12 @@ class ClothesTab:
         state, worn = self._state, {name: label for label, name in self._models.items()}
         for layer, (garment, fabric, tucked, colour) in enumerate(self._layers):
             name = state.garments[layer] if layer < len(state.garments) else None
-            file, made_of = (None, "") if name is None else split_fabric(name)
+            file, with_fabric = (None, "") if name is None else split_fabric(name)
             garment.value = NOTHING if file is None else worn[file]
             garment.visible = layer <= len(state.garments)
-            if made_of and made_of not in fabric.options:  # numbers, from the command line
-                fabric.options = (*fabric.options, made_of)
-            fabric.value = made_of or AS_TRAINED
+            if with_fabric and with_fabric not in fabric.options:  # numbers, from the command line
+                fabric.options = (*fabric.options, with_fabric)
+            fabric.value = with_fabric or AS_TRAINED
             fabric.visible = name is not None
             tucked.visible = name is not None and layer + 1 < len(state.garments)
             colour.visible = name is not None

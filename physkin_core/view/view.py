@@ -62,7 +62,7 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         fit=options.fit,
         own_clothes=options.own_clothes,
         separate_limbs=options.separate_limbs,
-        points=options.points,
+        points=options.splats,
     )
     print_warnings(state.warnings)
     page = Page(host=options.host, port=options.port)
@@ -114,7 +114,7 @@ def command_parser() -> argparse.ArgumentParser:
     add_limbs_option(parser)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
-        "--points", metavar="PLY", help="Gaussian splats where one of the garments lies, drawn in its place"
+        "--splats", metavar="PLY", help="Gaussian splats where one of the garments lies, drawn in its place"
     )
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
     parser.add_argument(

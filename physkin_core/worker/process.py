@@ -94,7 +94,7 @@ class Worker:
         if "refused" in said:
             raise WorkerError(sentence(said["refused"]))
         if "memory" in said:
-            too_much = f"it takes more than {self.memory} MiB of memory (load_memory)"
+            too_much = f"it takes more than {self.memory} MiB of memory (load_memory_limit)"
             raise WorkerError(sentence(f"{what} could not be loaded: {too_much}; use a smaller file"))
         if "failed" in said:
             raise RuntimeError(said["failed"])
@@ -120,7 +120,7 @@ class Worker:
         if not self._ready:
             return f"could not be loaded: the process that reads files has not started (exit status {status})"
         if isinstance(error, TimeoutError) or status == -signal.SIGALRM:
-            return f"could not be loaded within {self.seconds:g} s (load_seconds); use a smaller file"
+            return f"could not be loaded within {self.seconds:g} s (load_timeout); use a smaller file"
         if isinstance(error, CodecError) or status is None:
             return f"could not be loaded: what was read of it cannot be told ({error})"
         ended = f"exit status {status}" if status >= 0 else signal.Signals(-status).name

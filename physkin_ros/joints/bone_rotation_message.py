@@ -53,7 +53,7 @@ class BoneRotationReader:
         given = dict(zip(names, rotations))
         if len(given) != len(names):
             raise JointStateError("bone rotations name a bone twice")
-        if unknown := self._bones.unknown(names):
+        if unknown := self._bones.unknown_bones(names):
             if len(unknown) == len(names):
                 some, known = (", ".join(map(shown, each[:4])) for each in (unknown, self._bones.bone_names))
                 raise JointStateError(f"no bone is known among {some}; there are {known}, ...")

@@ -11,7 +11,7 @@ from physkin_core import Splats
 from physkin_ros.messages.point_cloud import cloud_fields, point_cloud
 from physkin_ros.messages.serialised import SerialisedMessage
 
-__all__ = ["SPLAT", "SplatCloud", "read_splats", "splat_look"]
+__all__ = ["SPLAT", "SplatCloud", "read_splats", "splat_attributes"]
 
 TURN, LOGARITHM = 32767, 1000
 """What a quaternion's numbers and the natural logarithms of scales are multiplied by: 0.002 degrees and 0.05 % lost."""
@@ -55,7 +55,7 @@ def read_splats(message) -> Splats:
     return Splats(place, rotation.astype(np.float32), np.exp(scale / np.float32(LOGARITHM)))
 
 
-def splat_look(look: np.ndarray, frame_id: str):
+def splat_attributes(look: np.ndarray, frame_id: str):
     """The `sensor_msgs/PointCloud2` of what is known of splats besides, (n,) records; the stamp is the caller's."""
     native = np.dtype([(name, look.dtype[name].newbyteorder("=")) for name in look.dtype.names])
     return point_cloud(native, len(look), look.astype(native).tobytes(), frame_id)

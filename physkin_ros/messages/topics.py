@@ -18,7 +18,7 @@ __all__ = [
     "SET_BODY",
     "SET_GARMENT",
     "SPLATS",
-    "SPLAT_LOOK",
+    "SPLAT_ATTRIBUTES",
     "STATISTICS",
     "TOPICS",
     "WIND",
@@ -58,19 +58,22 @@ SPLATS = Topic(
     "~/splats",
     "out",
     "sensor_msgs/PointCloud2",
-    "the splats of the parameter points, draped, 28 bytes each, while somebody reads them: x, y, z [m], float32; "
+    "the Gaussian splats of the parameter splats, draped, 28 bytes each, while somebody reads them: x, y, z [m], "
+    "float32; "
     "rot_x, rot_y, rot_z, rot_w, a unit quaternion, int16 in units of 1/32767; scale_0, scale_1, scale_2, natural "
     "logarithms of standard deviations [m], int16 in units of 1/1000",
-    needs="points",
+    needs="splats",
 )
-SPLAT_LOOK = Topic(
-    "~/splat_look",
+SPLAT_ATTRIBUTES = Topic(
+    "~/splat_attributes",
     "out",
     "sensor_msgs/PointCloud2",
     "everything else in the file about each splat, under its own names (opacity, f_dc_0, ...); sent once, latched",
-    needs="points",
+    needs="splats",
 )
-MARKER = Topic("~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="marker")
+MARKER = Topic(
+    "~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="publish_marker"
+)
 MESH = Topic(
     "~/mesh",
     "out",
@@ -180,7 +183,7 @@ TOPICS = (
         needs="publish_tf",
     ),
     SPLATS,
-    SPLAT_LOOK,
+    SPLAT_ATTRIBUTES,
     MARKER,
     MESH,
     GARMENT_NODES,

@@ -32,7 +32,7 @@ def look() -> Iterator[Finding]:
 
 def _messages(package: str, missing: str) -> Finding:
     said, _, remedy = missing.partition(". ")
-    return Finding(package, "absent", said, remedy) if said else Finding(package, "good", "installed")
+    return Finding(package, "note", said, remedy) if said else Finding(package, "good", "installed")
 
 
 def _participant() -> Finding:
@@ -78,7 +78,7 @@ def _shared_memory() -> Iterator[Finding]:
     try:
         free = shutil.disk_usage(SHARED_MEMORY).free
     except OSError:
-        yield Finding("shared memory", "absent", f"no {SHARED_MEMORY}: clouds go through the network stack")
+        yield Finding("shared memory", "note", f"no {SHARED_MEMORY}: clouds go through the network stack")
         return
     said = f"{free / 1e6:.0f} MB free in {SHARED_MEMORY}"
     if free < SEGMENTS * SEGMENT_BYTES:
@@ -89,4 +89,4 @@ def _shared_memory() -> Iterator[Finding]:
     if names := leftovers():
         size = sum((SHARED_MEMORY / name).stat().st_size for name in names if (SHARED_MEMORY / name).exists())
         said = f"{size / 1e6:.0f} MB left by processes that were killed"
-        yield Finding("shared memory", "absent", said, "fastdds shm clean, or the parameter clear_shared_memory")
+        yield Finding("shared memory", "note", said, "fastdds shm clean, or the parameter clear_shared_memory")

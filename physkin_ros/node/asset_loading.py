@@ -15,7 +15,7 @@ from physkin_core import BUNDLED_AVATAR, Layer, Outfit
 from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import GarmentRequest, OutfitRequest
-from physkin_core.model.fabric import said_of
+from physkin_core.model.fabric import parse_fabric
 from physkin_core.model.model_file import shipped_models, split_fabric
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit
 from physkin_core.separation.limb_separator import BoundLimbs
@@ -46,7 +46,7 @@ class AssetRoots:
         while the node runs; ValueError for an unknown fabric."""
         file, fabric = split_fabric(model)
         if fabric:
-            said_of(fabric)
+            parse_fabric(fabric)
         if file and file not in shipped_models():  # shipped names win over files of the working folder
             if "/" not in file and not Path(file).suffix:
                 near = nearest_names(file, shipped_models())
@@ -116,11 +116,11 @@ class OutfitLoader:
             body_rig,
             hide=hide,
             limbs=limbs,
-            points="" if several else first.points,
+            points="" if several else first.splats,
         )
         outfit, loaded = self._loader.outfit(request, precision=first.precision or None, normals=first.normals)
         if loaded.splats_refused:
-            raise ValueError(f"parameter {first.prefix}points: {loaded.splats_refused}")
+            raise ValueError(f"parameter {first.prefix}splats: {loaded.splats_refused}")
         took = perf_counter() - started
         return [LoadedLayer(outfit, k, loaded.cached, took, loaded.limbs, loaded.splats) for k in range(len(garments))]
 

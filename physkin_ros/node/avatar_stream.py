@@ -182,7 +182,7 @@ class AvatarStream:
         skeleton = "vrm" if self.settings.joint_map == VRM else "rig"
         bones = {"skeleton": skeleton, "on_unknown": self._warn_unknown}
         limbs = loaded[0].limbs
-        separator = None if limbs is None else LimbSeparator.of_bound(limbs)
+        separator = None if limbs is None else LimbSeparator.from_bound(limbs)
         now = WornOutfits(reader, rig, len(loaded), bool(self.settings.cloud_rate), separator, **bones)
         worn_before = {worn.stream: worn for worn in self._worn.garments} if self._worn else {}
         garments = []

@@ -82,7 +82,7 @@ class DrapeNode(LifecycleNode):
                 )
             ),
         )
-        self._loader = OutfitLoader(seconds=self._settings.load_seconds, memory=self._settings.load_memory)
+        self._loader = OutfitLoader(seconds=self._settings.load_timeout, memory=self._settings.load_memory_limit)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="physkin-loader", initializer=_schedule_as_batch)
         answer_all(self)
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -267,7 +267,7 @@ class DrapeNode(LifecycleNode):
         for avatar in self._settings.avatars:
             check_orientation(avatar)  # a body that comes later must not fail for it
             if avatar.discover:
-                self._templates.append((avatar, BodyDiscovery(self._settings.most_bodies)))
+                self._templates.append((avatar, BodyDiscovery(self._settings.max_bodies)))
             else:
                 stream = self._open(avatar)
                 stream.dress()
@@ -330,7 +330,7 @@ class DrapeNode(LifecycleNode):
                 self._worker.submit(self._dress_body, stream)
             if discovery.waiting - waiting:
                 self.get_logger().warning(
-                    f"{len(discovery.waiting)} bodies wait: parameter most_bodies is {self._settings.most_bodies}",
+                    f"{len(discovery.waiting)} bodies wait: parameter max_bodies is {self._settings.max_bodies}",
                     throttle_duration_sec=WARNING_PERIOD,
                 )
 

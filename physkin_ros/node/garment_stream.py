@@ -22,8 +22,8 @@ from physkin_ros.joints.joint_state_wire import JointStateWire
 from physkin_ros.joints.joint_states import JointStateReader
 from physkin_ros.messages.conversions import GarmentCloud, NodesMessage, TriangleMarker, body_covered, garment_mesh
 from physkin_ros.messages.interfaces import missing_interfaces
-from physkin_ros.messages.splat_cloud import SplatCloud, splat_look
-from physkin_ros.messages.topics import GARMENT, GARMENT_NODES, MARKER, MESH, SPLAT_LOOK, SPLATS
+from physkin_ros.messages.splat_cloud import SplatCloud, splat_attributes
+from physkin_ros.messages.topics import GARMENT, GARMENT_NODES, MARKER, MESH, SPLAT_ATTRIBUTES, SPLATS
 from physkin_ros.middleware.quality_of_service import stream_quality
 from physkin_ros.node.asset_loading import LoadedLayer
 from physkin_ros.node.diagnostics import GarmentStatistics, PoseRange
@@ -55,14 +55,14 @@ class GarmentStream:
         self._node = node
         self.cloud_publisher = node.create_publisher(PointCloud2, GARMENT.below(place), **stream_quality())
         self.marker_publisher = None
-        if settings.marker:
+        if settings.publish_marker:
             self.marker_publisher = node.create_publisher(Marker, MARKER.below(place), **stream_quality())
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.splat_publisher = self._look_publisher = None
         self._look_shown = False
-        if settings.points:
+        if settings.splats:
             self.splat_publisher = node.create_publisher(PointCloud2, SPLATS.below(place), **stream_quality())
-            self._look_publisher = node.create_publisher(PointCloud2, SPLAT_LOOK.below(place), latched)
+            self._look_publisher = node.create_publisher(PointCloud2, SPLAT_ATTRIBUTES.below(place), latched)
         self.nodes_publisher = self._mesh_publisher = None
         if not missing_interfaces():
             from physkin_msgs.msg import GarmentMesh, GarmentNodes
@@ -73,7 +73,7 @@ class GarmentStream:
     def show_look(self, look: np.ndarray | None) -> None:
         """Publish, once, what is known of the splats besides how they move: (n,) records, or None."""
         if look is not None and not self._look_shown:
-            message = splat_look(look, self.frame_id)
+            message = splat_attributes(look, self.frame_id)
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._look_publisher.publish(message)
             self._look_shown = True

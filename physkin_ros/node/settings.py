@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from physkin_core import NORMALS, UPRIGHT_GRAVITY
-from physkin_core.loader.asset_loader import LOAD_MEMORY, LOAD_SECONDS
+from physkin_core.loader.asset_loader import LOAD_MEMORY_LIMIT, LOAD_TIMEOUT
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_core.sway.frame_input import LARGEST_WIND, checked_wind
@@ -102,12 +102,12 @@ class GarmentSettings:
         choices=NORMALS,
     )
     namespace: str = _key("", "where the garment's topics are. Empty: ~, with avatars ~/ID/NAME")
-    points: str = _key(
+    splats: str = _key(
         "",
         "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; ~/splats publishes "
         "them draped. For a single garment, or with avatars and outfit false",
     )
-    marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
+    publish_marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
 
     @property
     def file(self) -> str:
@@ -254,14 +254,14 @@ class NodeSettings:
         "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that "
         "it started with. Shipped garments and the bundled avatar are always allowed",
     )
-    load_seconds: float = _key(
-        LOAD_SECONDS,
+    load_timeout: float = _key(
+        LOAD_TIMEOUT,
         "[s] that loading a body with its garments may take before it is refused; what is worn stays on",
         low=1,
         high=3600,
     )
-    load_memory: int = _key(
-        LOAD_MEMORY,
+    load_memory_limit: int = _key(
+        LOAD_MEMORY_LIMIT,
         "[MiB] of memory that loading may take on top of what its process has at the start",
         low=64,
         high=1 << 20,
@@ -273,7 +273,7 @@ class NodeSettings:
         low=0,
         high=60,
     )
-    most_bodies: int = _key(8, "bodies that an avatar with discover dresses at a time; later ones wait", low=1, high=64)
+    max_bodies: int = _key(8, "bodies that an avatar with discover dresses at a time; later ones wait", low=1, high=64)
     clear_shared_memory: bool = _key(
         False, "at the start, delete what killed Fast DDS processes of this user left behind in /dev/shm"
     )
@@ -318,11 +318,11 @@ def check_setting(name: str, setting: Setting, value: object) -> object:
         return int(value) if whole else float(value)
     elif isinstance(default, list):
         if isinstance(value, str) or not all(isinstance(item, str) for item in value):
-            raise refuse("a list of texts")
+            raise refuse("a list of strings")
         return tuple(value)
     else:
         if not isinstance(value, str):
-            raise refuse("a text")
+            raise refuse("a string")
         if setting.choices and value not in setting.choices:
             raise refuse(", ".join(choice or "''" for choice in setting.choices))
         if not value and not setting.may_be_empty:

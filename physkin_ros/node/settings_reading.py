@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.model.model_file import split_fabric
+from physkin_core.renamed import PARAMETERS
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import (
     AVATAR_SETTINGS,
@@ -95,6 +96,8 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
+    if name in PARAMETERS:
+        return SettingsError(f"parameter {parameter or name}: {name} is now called {PARAMETERS[name]}")
     near = nearest_names(name, known, most=1)
     allowed = f"did you mean {near}?" if near else f"allowed{where}: {', '.join(sorted(known))}"
     return SettingsError(f"parameter {parameter or name}: unknown key {name!r}; {allowed}")
@@ -168,10 +171,10 @@ def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[G
         raise SettingsError(f"parameter model is {garment.model!r}; allowed: models joined by commas")
     if len(models) == 1:
         return [garment]
-    if garment.points:
+    if garment.splats:
         raise SettingsError(
-            f"parameter points is {garment.points!r} and model names {len(models)} garments; splats lie on one: "
-            "avatars.ID.garments.NAME.points"
+            f"parameter splats is {garment.splats!r} and model names {len(models)} garments; splats lie on one: "
+            "avatars.ID.garments.NAME.splats"
         )
     below, names = garment.namespace or "~", []
     for model in models:
@@ -196,9 +199,9 @@ def _check_outfit(prefix: str, garments: list[GarmentSettings]) -> None:
     first, *others = garments
     if not prefix and first.tucked:
         raise SettingsError("parameter tucked is for one of several garments: avatars.ID.garments.NAME.tucked")
-    if with_points := [garment.prefix for garment in garments if garment.points]:
+    if with_splats := [garment.prefix for garment in garments if garment.splats]:
         raise SettingsError(
-            f"parameter {with_points[0]}points: splats follow one garment, not the layers of an outfit; allowed with "
+            f"parameter {with_splats[0]}splats: splats follow one garment, not the layers of an outfit; allowed with "
             f"{prefix}outfit false"
         )
     for other in others:

@@ -40,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     options.garment = options.garment or list(WORN)
     garments = chosen_garments(options.garment, options.tucked)
-    avatar = load_avatar(options.body or BUNDLED_AVATAR, garments[0].model.rig)
+    avatar = load_avatar(options.avatar or BUNDLED_AVATAR, garments[0].model.rig)
     clip = load_motion(options.motion, watch=progress_line(f"reading {options.motion}")).resampled(RATE_HZ)
     motion = clip.looped(options.seconds)
     outfit = Outfit(garments, avatar, fit=options.fit)
@@ -66,7 +66,7 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
     with Children(private_environment(), folder) as children:
         _say(f"starting the drape node with {' and '.join(options.garment)}")
         worn = [{"model": name, "tucked": name in options.tucked} for name in options.garment]
-        asked = {"avatar": {"body_mesh": options.body}, "garment": {"fit": options.fit}, "outfit": worn}
+        asked = {"avatar": {"body_mesh": options.avatar}, "garment": {"fit": options.fit}, "outfit": worn}
         start_node(children, folder, 1, **asked, queue=None)
         played = (options.motion, RATE_HZ, options.seconds, "--gravity")
         start_playing(children, folder, 1, *played, garments=len(worn), keep_every=keep_every)
@@ -84,7 +84,7 @@ def command_parser() -> argparse.ArgumentParser:
     add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)
-    parser.add_argument("--body", default="", help="avatar file (default: the bundled avatar)")
+    parser.add_argument("--avatar", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     return parser
 

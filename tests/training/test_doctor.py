@@ -10,9 +10,9 @@ doctor = pytest.importorskip("physkin_training.doctor", reason="colcon leaves tr
 def test_gpu_is_told_or_how_to_get_one():
     """On this machine, whichever it is."""
     findings = {finding.subject: finding for finding in doctor.look()}
-    assert findings.keys() == {"torch", "warp"} and torch.__version__ in findings["torch"].said
-    wanted = "good" if torch.cuda.is_available() else "absent"
-    assert findings["torch"].state == wanted and bool(findings["torch"].remedy) == (wanted == "absent")
+    assert findings.keys() == {"torch", "warp"} and torch.__version__ in findings["torch"].found
+    wanted = "good" if torch.cuda.is_available() else "note"
+    assert findings["torch"].state == wanted and bool(findings["torch"].remedy) == (wanted == "note")
 
 
 def test_warp_that_does_not_see_torch_s_gpu_is_broken(monkeypatch):

@@ -20,7 +20,7 @@ def look() -> Iterator[Finding]:
         names = ", ".join(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))
         yield Finding("torch", "good", f"{torch.__version__} on {names}")
     else:
-        yield Finding("torch", "absent", f"{torch.__version__} sees no GPU", CPU_ONLY)
+        yield Finding("torch", "note", f"{torch.__version__} sees no GPU", CPU_ONLY)
     wp.init()
     devices = [device.name for device in wp.get_cuda_devices()]
     if devices:
@@ -30,4 +30,4 @@ def look() -> Iterator[Finding]:
             "warp", "broken", f"{wp.config.version} sees no GPU, torch does", "update warp-lang, or the driver"
         )
     else:
-        yield Finding("warp", "absent", f"{wp.config.version} sees no GPU", CPU_ONLY)
+        yield Finding("warp", "note", f"{wp.config.version} sees no GPU", CPU_ONLY)

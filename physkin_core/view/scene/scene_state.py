@@ -144,7 +144,7 @@ class SceneState:
             raise ValueError(loaded.splats_refused)
         rig, avatar = outfit.rig, outfit.avatar
         player = None if self._player is None else MotionPlayer(self._player.motion, rig, avatar)
-        separator = None if loaded.limbs is None else LimbSeparator.of_bound(loaded.limbs)
+        separator = None if loaded.limbs is None else LimbSeparator.from_bound(loaded.limbs)
         splats = None if loaded.splats is None else WornSplats(loaded.splats)
         with self._lock:
             posed = self.outfit is not None and self.rig.joint_names == rig.joint_names

@@ -32,7 +32,7 @@ def test_this_installation_works(capsys, monkeypatch):
     findings = {each["subject"]: each for each in json.loads(capsys.readouterr().out)}
     assert {"physkin", "evaluator", "garment models", "motions", "a frame", "compiler"} < findings.keys()
     assert {f"[{extra}]" for extra in EXTRAS} < findings.keys()
-    assert "tshirt" in findings["garment models"]["said"] and supported_instruction_sets()[-1] in str(findings)
+    assert "tshirt" in findings["garment models"]["found"] and supported_instruction_sets()[-1] in str(findings)
     assert all(each["remedy"] for each in findings.values() if each["state"] != "good")
 
 
@@ -51,10 +51,10 @@ def test_damaged_model_is_broken(quick, monkeypatch, tmp_path, capsys):
 def test_instruction_set_that_is_not_there(monkeypatch):
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "sse9")
     finding = installation._instruction_set()
-    assert finding.state == "broken" and "PHYSKIN_NATIVE_ISA=sse9" in finding.said and "unset" in finding.remedy
+    assert finding.state == "broken" and "PHYSKIN_NATIVE_ISA=sse9" in finding.found and "unset" in finding.remedy
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
     finding = installation._instruction_set()
-    assert finding.state == "good" and "baseline" in finding.said
+    assert finding.state == "good" and "baseline" in finding.found
 
 
 def test_evaluators_that_differ_are_broken(monkeypatch):
@@ -68,9 +68,9 @@ def test_missing_parts_are_no_fault(quick, monkeypatch):
     monkeypatch.setattr(installation, "find_spec", lambda name: None if name in ("pxr", "av") else types)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     findings = found(installation.look)
-    assert findings["[usd]"].said == "not installed" and findings["[view]"].said == "lacks av"
+    assert findings["[usd]"].found == "not installed" and findings["[view]"].found == "lacks av"
     assert findings["[usd]"].remedy == install_command("usd") and findings["[ros]"].state == "good"
-    assert findings["compiler"].state == "absent" and "g++" in findings["compiler"].remedy
+    assert findings["compiler"].state == "note" and "g++" in findings["compiler"].remedy
     assert not any(finding.state == "broken" for finding in findings.values())
 
 

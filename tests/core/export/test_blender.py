@@ -41,7 +41,7 @@ def test_blender_has_every_vertex_where_it_is_draped(tmp_path, kind):
     models = [load_garment_model(name) for name in ("trousers", "tshirt")]
     look = write_look(tmp_path / "look", models[1])
     path = tmp_path / f"walk{kind}"
-    asked = ["-g", "trousers", "-g", "tshirt", "--look", str(look), "--rate", str(RATE), "-o", str(path)]
+    asked = ["-g", "trousers", "-g", "tshirt", "--materials", str(look), "--rate", str(RATE), "-o", str(path)]
     assert main(["export", "walk", *asked]) == 0
     found = in_blender(path)
     assert any("knit" in name for name in found["pictures"])

@@ -1,4 +1,4 @@
-"""`physkin export --look`: texture places and materials of a garment's mesh are in the files, and cloth stays whole."""
+"""`physkin export --materials`: texture coordinates and materials of a mesh are in the files, and cloth stays whole."""
 
 import io
 import sys
@@ -75,7 +75,7 @@ def write_look(folder, model, *, library=None, files=None, vertices=None):
 
 def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn, export):
     """Every vertex has the place of its point of the garment, twice at the seam, where both move alike."""
-    assert export(tmp_path / "walk.glb", "--look", write_look(tmp_path / "look", shirt)) == 0
+    assert export(tmp_path / "walk.glb", "--materials", write_look(tmp_path / "look", shirt)) == 0
     reader, motion = Reader(tmp_path / "walk.glb"), load_motion("walk").resampled(RATE)
     frame = 2
     for k in range(frame + 1):
@@ -107,7 +107,7 @@ def test_usd_has_the_look(tmp_path, shirt, export):
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom, UsdShade
 
-    assert export(tmp_path / "walk.usdc", "--look", write_look(tmp_path / "look", shirt)) == 0
+    assert export(tmp_path / "walk.usdc", "--materials", write_look(tmp_path / "look", shirt)) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
@@ -130,7 +130,7 @@ def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt, export):
 
     look = write_look(tmp_path / "look", shirt, library="newmtl a b\nKd 1 0 0\nnewmtl a-b\nKd 0 1 0\n")
     look.write_text(look.read_text().replace("usemtl knit", "usemtl a b").replace("usemtl red", "usemtl a-b"))
-    assert export(tmp_path / "walk.usdc", "--look", look) == 0
+    assert export(tmp_path / "walk.usdc", "--materials", look) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
     subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
@@ -171,7 +171,7 @@ def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expe
     path = write_look(tmp_path / "look", shirt, library=library)
     knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
     assert knit.repeats == expected and red.repeats == (1, 1)
-    assert export(tmp_path / "walk.glb", "--look", path) == 0
+    assert export(tmp_path / "walk.glb", "--materials", path) == 0
     textured, plain = Reader(tmp_path / "walk.glb").file.materials[-2:]
     assert plain.pbrMetallicRoughness.baseColorTexture.extensions == {}
     transform = textured.pbrMetallicRoughness.baseColorTexture.extensions["KHR_texture_transform"]
@@ -186,7 +186,7 @@ def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expe
     if expected != (20, 40):
         return
     pxr = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
-    assert export(tmp_path / "walk.usdc", "--look", path) == 0
+    assert export(tmp_path / "walk.usdc", "--materials", path) == 0
     stage = pxr.Stage.Open(str(tmp_path / "walk.usdc"))
     scales = [
         prim.GetAttribute("inputs:scale").Get() for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"
@@ -297,5 +297,5 @@ def test_pictures_are_kept_without_pillow(tmp_path, shirt, monkeypatch, export):
     trimesh.load(write_look(tmp_path / "look", shirt), process=False).export(tmp_path / "look.glb")
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setitem(sys.modules, "PIL.Image", None)
-    assert export(tmp_path / "walk.glb", "--look", tmp_path / "look.glb") == 0
+    assert export(tmp_path / "walk.glb", "--materials", tmp_path / "look.glb") == 0
     assert b"\x89PNG" in (tmp_path / "walk.glb").read_bytes()

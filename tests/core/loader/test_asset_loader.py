@@ -98,7 +98,7 @@ def test_precision_and_normals_are_of_this_process(asset_loader, avatar, frames)
 def test_limbs_colours_and_motion(asset_loader, avatar, frames):
     """As this process would have them; none that were not asked for."""
     _, loaded = asset_loader.outfit(request("tshirt", limbs=True, colours=True))
-    separator, expected = LimbSeparator.of_bound(loaded.limbs), LimbSeparator(load_body_model().rig, avatar)
+    separator, expected = LimbSeparator.from_bound(loaded.limbs), LimbSeparator(load_body_model().rig, avatar)
     assert separator.warnings == expected.warnings and separator.joint_names == expected.joint_names
     for pose, _, _ in frames[:5]:
         folded = 1.5 * pose

@@ -12,10 +12,10 @@ from physkin_core import (
     GarmentModel,
     Material,
     load_garment_model,
-    made_of,
     save_garment_model,
+    with_fabric,
 )
-from physkin_core.model.fabric import said_of, split_colour
+from physkin_core.model.fabric import parse_fabric, split_colour
 from physkin_core.model.model_file import ModelFileError, shipped_models, split_fabric
 from tests.random_models import random_avatar, random_model
 
@@ -38,22 +38,22 @@ def draped(model: GarmentModel, *, times_gravity: float = 1.0) -> np.ndarray:
 
 
 def test_the_trained_fabric_changes_nothing(model):
-    np.testing.assert_array_equal(draped(made_of(model, "jersey")), draped(model))
+    np.testing.assert_array_equal(draped(with_fabric(model, "jersey")), draped(model))
 
 
 def test_twice_the_weight_hangs_as_under_twice_the_gravity(model):
-    heavy = made_of(model, replace(JERSEY, density=1.2 * JERSEY.density))
+    heavy = with_fabric(model, replace(JERSEY, density=1.2 * JERSEY.density))
     np.testing.assert_allclose(draped(heavy), draped(model, times_gravity=1.2), atol=1e-6)
     assert np.abs(draped(heavy) - draped(model)).max() > 1e-4
 
 
 def test_cloth_that_stretches_and_bends_twice_as_stiffly_and_weighs_twice_as_much_hangs_the_same(model):
-    scaled = made_of(model, Fabric(2 * JERSEY.stretch, 2 * JERSEY.bend, 2 * JERSEY.density))
+    scaled = with_fabric(model, Fabric(2 * JERSEY.stretch, 2 * JERSEY.bend, 2 * JERSEY.density))
     np.testing.assert_allclose(draped(scaled), draped(model), atol=1e-6)
 
 
 def test_bending_is_a_shift_of_the_tokens(model):
-    stiff = made_of(model, replace(JERSEY, bend=4 * JERSEY.bend))
+    stiff = with_fabric(model, replace(JERSEY, bend=4 * JERSEY.bend))
     expected = model.hyper_modulator["embed.bias"] + 0.5 * model.hyper_modulator["bend"]  # two octaves of four
     np.testing.assert_allclose(stiff.hyper_modulator["embed.bias"], expected, rtol=1e-6)
     assert stiff.material.bending == 4 * JERSEY.bend and not stiff.hyper_modulator["bend"].any()
@@ -63,7 +63,7 @@ def test_bending_is_a_shift_of_the_tokens(model):
 def test_all_named_fabrics_can_be_worn(model):
     """By a model that has learnt so much as they are measured."""
     for name, fabric in FABRICS.items():
-        material = made_of(model, name).material
+        material = with_fabric(model, name).material
         found = Fabric(material.youngs_modulus, material.bending, material.density)
         assert astuple(found) == pytest.approx(astuple(fabric))
 
@@ -73,13 +73,13 @@ def test_a_name_means_ratios_to_jersey_where_the_model_was_trained_as_something_
     material = Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made")
     rubber = replace(model, material=material, training={"bending_octaves": [-2, 4]})
     for name, fabric in FABRICS.items():
-        material = made_of(rubber, name).material
+        material = with_fabric(rubber, name).material
         times = fabric.stretch / JERSEY.stretch
         stiffer = min(fabric.bend / JERSEY.bend / times, 16.0)
         found = Fabric(material.youngs_modulus, material.bending, material.density)
         expected = Fabric(60 * times, 2.5e-5 * times * stiffer, fabric.density)
         assert astuple(found) == pytest.approx(astuple(expected))
-    assert made_of(rubber, "density=0.16").material.youngs_modulus == 60
+    assert with_fabric(rubber, "density=0.16").material.youngs_modulus == 60
 
 
 def test_a_name_may_carry_the_fabric(model, tmp_path):
@@ -116,14 +116,14 @@ def test_a_colour_may_follow_the_fabric(text, fabric, colour):
 @pytest.mark.parametrize("text", ["denim:#33", "denim:mauve", "#12345g", "denim:"])
 def test_an_unknown_colour_is_refused_with_those_there_are(text):
     with pytest.raises(ValueError, match="no colour .* allowed: #rgb, #rrggbb, beige, black"):
-        said_of(text)
+        parse_fabric(text)
 
 
 def test_a_colour_alone_leaves_the_cloth_as_it_is(model):
-    navy = made_of(model, "navy")
+    navy = with_fabric(model, "navy")
     assert navy.fabric == "navy" and navy.material == model.material
-    assert made_of(model, "denim:navy").fabric == "denim:navy"
-    np.testing.assert_array_equal(draped(made_of(model, "wool:navy")), draped(made_of(model, "wool")))
+    assert with_fabric(model, "denim:navy").fabric == "denim:navy"
+    np.testing.assert_array_equal(draped(with_fabric(model, "wool:navy")), draped(with_fabric(model, "wool")))
 
 
 def test_a_file_whose_name_has_a_colon_is_itself(model, tmp_path):
@@ -136,14 +136,14 @@ def test_a_file_whose_name_has_a_colon_is_itself(model, tmp_path):
 @pytest.mark.parametrize("text", ["", "stretch", "stretch=", "weight=3", "stretch=a", "bend=1e-4+bend=2e-4"])
 def test_what_is_no_fabric_is_refused(model, text):
     with pytest.raises(ValueError, match="no fabric"):
-        made_of(model, text)
+        with_fabric(model, text)
 
 
 def test_numbers_are_checked_before_there_is_a_model():
-    assert said_of("bend=2e-5 + density=0.18") == {"bend": 2e-5, "density": 0.18}
-    assert said_of("jersey") == asdict(JERSEY)
+    assert parse_fabric("bend=2e-5 + density=0.18") == {"bend": 2e-5, "density": 0.18}
+    assert parse_fabric("jersey") == asdict(JERSEY)
     with pytest.raises(ValueError, match="fabric stretch is 0.0, allowed: a finite number above 0"):
-        said_of("stretch=0")
+        parse_fabric("stretch=0")
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), True, "1"])
@@ -155,15 +155,15 @@ def test_numbers_of_a_fabric_are_above_zero(value):
 def test_what_was_not_learnt_is_refused(model):
     for density in (0.04, 0.4):
         with pytest.raises(ValueError, match=f"density {density} kg/m2 .*'random'.*allowed: 0.05 to 0.35 kg/m2"):
-            made_of(model, f"density={density}")
+            with_fabric(model, f"density={density}")
     with pytest.raises(ValueError, match="bend 0.01 J .*allowed: 7.5e-07 to 9.6e-05 J$"):
-        made_of(model, "bend=0.01")
-    assert made_of(model, "bend=9e-5").material.bending == 9e-5
+        with_fabric(model, "bend=0.01")
+    assert with_fabric(model, "bend=9e-5").material.bending == 9e-5
     with pytest.raises(ValueError, match="bend 9e-05 J .*allowed: 7.5e-07 to 4.8e-05 J$"):
-        made_of(replace(model, training={"bending_octaves": [-2, 4]}), "bend=9e-5")
+        with_fabric(replace(model, training={"bending_octaves": [-2, 4]}), "bend=9e-5")
     for other in ("jersey", "density=0.16"):
         with pytest.raises(ValueError, match="'random' is of another fabric already, .* optimisation.other_b"):
-            made_of(made_of(model, "bend=5e-6"), other)
+            with_fabric(with_fabric(model, "bend=5e-6"), other)
 
 
 def test_jersey_is_the_reference_material():
@@ -175,4 +175,4 @@ def test_jersey_is_the_reference_material():
 def test_shipped_garments_can_be_made_of_every_named_fabric(name):
     model = load_garment_model(name)
     for fabric in FABRICS:
-        assert made_of(model, fabric).garment is model.garment
+        assert with_fabric(model, fabric).garment is model.garment

@@ -110,7 +110,7 @@ def test_reshaped_against_matrices_face_by_face(sewn):
 def test_some_of_the_faces_keep_the_rest_shape(sewn):
     larger = sewn.reshaped(sewn.vertices * [1.1, 1.1, 1.25])
     upper = larger.vertices[larger.faces].mean(axis=1)[:, 2] > 0
-    part = larger.of_faces(upper)
+    part = larger.submesh(upper)
     np.testing.assert_array_equal(part.face_areas, larger.face_areas[upper])
     np.testing.assert_array_equal(part.vertices, larger.vertices[np.unique(larger.faces[upper])])
     assert part.edge_lengths.max() == pytest.approx(larger.edge_lengths.max())

@@ -252,8 +252,8 @@ def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypat
     np.testing.assert_allclose(frame.body, state.outfit.posed_body(expected), atol=1e-6)
     (alone,) = Outfit([load_garment_model("tshirt")], state.outfit.avatar).drape(expected)
     np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
-    of_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
-    monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(of_bound=of_bound))
+    from_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
+    monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(from_bound=from_bound))
     state.separate(True)
     assert state.warnings == (*state.outfit.warnings, "a leg is not separated")
 

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from physkin_core import Outfit, made_of
+from physkin_core import Outfit, with_fabric
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.export.gltf_still import still_glb
 from physkin_core.look.cloth_look import cloth_look, seen_from_afar
@@ -47,7 +47,9 @@ def page():
 def test_cloth_is_in_its_fabric_while_it_stands(page):
     """And in the colour that this has from afar once it moves; painted or drawn as wires it stays as it is."""
     rng = np.random.default_rng(0)
-    model = made_of(random_model(rng, rig=load_body_model().rig, garment=sewn_tube(columns=24, rings=33)), "denim:teal")
+    model = with_fabric(
+        random_model(rng, rig=load_body_model().rig, garment=sewn_tube(columns=24, rings=33)), "denim:teal"
+    )
     outfit = Outfit([model], random_avatar(rng, model.rig))
     rest = model.rig.rest
     cloth = tuple(outfit.drape(rest))

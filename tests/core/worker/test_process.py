@@ -70,7 +70,7 @@ def test_one_core_is_left_to_others(worker):
         ("end", int(signal.SIGKILL), r"body.glb could not be loaded: the process that read it was ended \(SIGKILL\)"),
         ("end", int(signal.SIGSEGV), "SIGSEGV"),
         ("leave", 3, "exit status 3"),
-        ("sleep", 30, r"body.glb could not be loaded within 2 s \(load_seconds\)"),
+        ("sleep", 30, r"body.glb could not be loaded within 2 s \(load_timeout\)"),
     ],
 )
 def test_what_ends_the_process_costs_one_request(worker, name, argument, told):
@@ -92,7 +92,7 @@ def test_a_file_that_is_truncated_while_it_is_read(worker, tmp_path):
 @pytest.mark.parametrize(
     ("name", "argument", "error", "told"),
     [
-        ("fill", 400, WorkerError, r"takes more than 200 MiB of memory \(load_memory\); use a smaller file"),
+        ("fill", 400, WorkerError, r"takes more than 200 MiB of memory \(load_memory_limit\); use a smaller file"),
         ("refuse", "too wide", WorkerError, "^too wide$"),
         ("refuse", "wide " * 100, WorkerError, "…"),
         ("fail", None, RuntimeError, "KeyError: 'nothing'"),

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 
-from physkin_ros.messages.splat_cloud import SplatCloud, read_splats, splat_look  # noqa: E402
+from physkin_ros.messages.splat_cloud import SplatCloud, read_splats, splat_attributes  # noqa: E402
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_look(order):
     """Columns of any type under their names, whatever the file's byte order."""
     records = np.zeros(7, dtype=[("x", f"{order}f4"), ("red", "u1"), ("f_dc_0", f"{order}f8")])[["red", "f_dc_0"]]
     records["red"], records["f_dc_0"] = range(7), np.arange(7) / 3
-    message = deserialize_message(serialize_message(splat_look(records, "hips")), PointCloud2)
+    message = deserialize_message(serialize_message(splat_attributes(records, "hips")), PointCloud2)
     fields = [(field.name, field.offset, field.datatype) for field in message.fields]
     assert fields == [("red", 0, 2), ("f_dc_0", 1, 8)] and message.point_step == 9
     read = np.frombuffer(message.data, dtype=[("red", "u1"), ("f_dc_0", "f8")])

@@ -27,16 +27,16 @@ def found():
 def test_machine_that_takes_part(monkeypatch):
     """A node can be made; the profile is the shipped one, also where it is chosen by its path."""
     findings = found()
-    assert findings["rclpy"].state == "good" and "rmw_" in findings["rclpy"].said
-    assert findings["Fast DDS"].state == "good" and str(FASTDDS_PROFILE) in findings["Fast DDS"].said
+    assert findings["rclpy"].state == "good" and "rmw_" in findings["rclpy"].found
+    assert findings["Fast DDS"].state == "good" and str(FASTDDS_PROFILE) in findings["Fast DDS"].found
     monkeypatch.setenv(PROFILE_VARIABLES[0], str(FASTDDS_PROFILE))
-    assert doctor._profile().said.startswith("the shipped one")
+    assert doctor._profile().found.startswith("the shipped one")
 
 
 def test_profiles_of_ones_own(monkeypatch, tmp_path):
     """One that is not there is broken; another one is left alone."""
     monkeypatch.setenv(PROFILE_VARIABLES[0], str(tmp_path / "mine.xml"))
-    assert doctor._profile().state == "broken" and "no such file" in doctor._profile().said
+    assert doctor._profile().state == "broken" and "no such file" in doctor._profile().found
     (tmp_path / "mine.xml").write_text("<dds/>")
     assert doctor._profile().state == "good" and "segment_size" in doctor._profile().remedy
 
@@ -44,12 +44,12 @@ def test_profiles_of_ones_own(monkeypatch, tmp_path):
 def test_middleware_that_refuses(monkeypatch):
     monkeypatch.setattr("rclpy.create_node", lambda *_, **__: 1 / 0)
     finding = doctor._participant()
-    assert finding.state == "broken" and "division" in finding.said and "RMW_IMPLEMENTATION" in finding.remedy
+    assert finding.state == "broken" and "division" in finding.found and "RMW_IMPLEMENTATION" in finding.remedy
 
 
 def test_rclpy_that_is_too_old(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy.experimental", None)
-    assert "older than 7.1.4" in doctor._participant().said and doctor._participant().state == "broken"
+    assert "older than 7.1.4" in doctor._participant().found and doctor._participant().state == "broken"
 
 
 @pytest.mark.parametrize("package", ["physkin_msgs", "tf2_msgs"])
@@ -57,7 +57,7 @@ def test_messages_that_are_missing(monkeypatch, package):
     """They cost topics, not clouds: absent, with the command that installs them."""
     monkeypatch.setitem(sys.modules, f"{package}.msg", None)
     finding = found()[package]
-    assert (finding.state, "is not installed" in finding.said) == ("absent", True)
+    assert (finding.state, "is not installed" in finding.found) == ("note", True)
     assert "build.py --install" in finding.remedy
 
 
@@ -67,5 +67,5 @@ def test_shared_memory_that_is_too_small_or_littered(monkeypatch, tmp_path):
     (tmp_path / "fastrtps_1").write_bytes(bytes(2_000_000))
     monkeypatch.setattr(doctor, "leftovers", lambda: {"fastrtps_1"})
     small, littered = doctor._shared_memory()
-    assert small.state == "broken" and "64 MB free" in small.said and "--shm-size" in small.remedy
-    assert littered.said == "2 MB left by processes that were killed" and "fastdds shm clean" in littered.remedy
+    assert small.state == "broken" and "64 MB free" in small.found and "--shm-size" in small.remedy
+    assert littered.found == "2 MB left by processes that were killed" and "fastdds shm clean" in littered.remedy

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from avatar_settings import garment_settings
 
-from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, made_of
+from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, with_fabric
 from physkin_ros.node import asset_loading
 from physkin_ros.node.asset_loading import AssetError, AssetRoots
 
@@ -82,7 +82,7 @@ def test_fits_and_fabrics_are_kept_apart(outfit_loader, model_path):
     assert np.abs(first - one_size).max() > 1e-3
     (denim,) = load(outfit_loader, [f"{model_path}:denim"])
     rest = denim.outfit.rig.rest
-    wanted = Draper(made_of(load_garment_model(model_path), "denim"), load_avatar(BUNDLED_AVATAR, denim.outfit.rig))
+    wanted = Draper(with_fabric(load_garment_model(model_path), "denim"), load_avatar(BUNDLED_AVATAR, denim.outfit.rig))
     np.testing.assert_array_equal(denim.outfit.drape(rest)[0], wanted.drape(rest))
 
 

@@ -295,10 +295,10 @@ def test_every_topic_is_listed_with_its_type(orientation, running_node, model_pa
     """What usage text and reference name, no more and no less, with all that parameters open."""
     pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
     pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
-    wanted = {"model": str(model_path), "orientation": orientation, "marker": True, "separate_limbs": True}
+    wanted = {"model": str(model_path), "orientation": orientation, "publish_marker": True, "separate_limbs": True}
     splats = tmp_path / "splats.ply"
     splats.write_bytes(splat_ply("binary_little_endian", garment_model.garment.vertices[:20]))
-    wanted["points"] = str(splats)
+    wanted["splats"] = str(splats)
     wanted["publish_tf"] = publishes = orientation in ("pose", "odometry")
     with running_node(wanted, connect=False) as node:
         opened = {("out", each.topic_name, named(each.msg_type)) for each in node.publishers}

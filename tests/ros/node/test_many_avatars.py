@@ -29,7 +29,7 @@ def site(start_site, model_path, leaning_model_path, other_body):
     parameters = {
         "asset_roots": [str(other_body.parent), str(model_path.parent)],
         "deadline": 0.5,
-        "most_bodies": 2,
+        "max_bodies": 2,
         "avatars": {
             "alice": {
                 "outfit": False,  # the same garment twice, draped otherwise
@@ -110,7 +110,7 @@ def test_bodies_come_and_go(site, drapers, garment_model):
     site.until(lambda: others[0].get_subscription_count(), "the second body")
     site.spin(1.5)
     assert others[1].get_subscription_count() == 0
-    assert "1 bodies wait: parameter most_bodies is 2" in site.log.read_text()
+    assert "1 bodies wait: parameter max_bodies is 2" in site.log.read_text()
     site.node.destroy_publisher(publisher)
     site.until(others[1].get_subscription_count, "the third body, once the first has gone")
     assert "zoe: the body is gone" in site.log.read_text()
@@ -228,7 +228,7 @@ def test_parameters_are_validated(site, other_body):
     assert result.successful
     value = lambda: site.call(GetParameters, "get_parameters", names=[name]).values[0].string_value  # noqa: E731
     site.until(lambda: value() == "", "parameter to go back")
-    names = ["avatars.alice.joint_map", "deadline", "most_bodies", "avatars.bob.orientation"]
+    names = ["avatars.alice.joint_map", "deadline", "max_bodies", "avatars.bob.orientation"]
     described = site.call(DescribeParameters, "describe_parameters", names=names).descriptors
     assert all(each.description for each in described)
     assert [each.read_only for each in described] == [True, False, True, True]

@@ -127,7 +127,7 @@ def test_options_of_a_garment(peer, running_node, model_path, draper):
     state[1] = rig.upper[1] + 1.0
     markers = []
     subscription = peer.node.create_subscription(Marker, "drape_node/marker", markers.append, 5)
-    parameters = {"model": str(model_path), "marker": True, "deadline": 1e-9, **options}
+    parameters = {"model": str(model_path), "publish_marker": True, "deadline": 1e-9, **options}
     with running_node(parameters) as node:
         peer.until(subscription.get_publisher_count, "marker's publisher")
         cloud = peer.cloud(draper.joint_names, state, (3, 4))
@@ -285,16 +285,16 @@ def test_splats(peer, running_node, leaning_model_path, leaning_draper, tmp_path
         (far, "cm from garment"),
         (plain, "they are no Gaussian splats"),
     ):
-        with pytest.raises(ValueError, match=f"parameter points.*{reason}") as error:
-            with running_node(parameters | {"points": str(wrong)}):
+        with pytest.raises(ValueError, match=f"parameter splats.*{reason}") as error:
+            with running_node(parameters | {"splats": str(wrong)}):
                 pass
         assert "\n" not in str(error.value)
     heard, looks = [], []
-    with running_node(parameters | {"points": str(path)}):
+    with running_node(parameters | {"splats": str(path)}):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         subscriptions = [
             peer.node.create_subscription(PointCloud2, "drape_node/splats", heard.append, 10),
-            peer.node.create_subscription(PointCloud2, "drape_node/splat_look", looks.append, latched),
+            peer.node.create_subscription(PointCloud2, "drape_node/splat_attributes", looks.append, latched),
         ]
         peer.until(lambda: looks, "what does not move")
         peer.until(subscriptions[0].get_publisher_count, "splats")

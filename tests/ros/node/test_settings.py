@@ -41,7 +41,7 @@ def test_many_avatars(tmp_path):
     deadline: 1
     avatars:
       ann: {cloud_rate: 60, gravity: [0, 1, 0], garments: {top: {model: tshirt}, legs: {model: trousers}}}
-      bob: {frame_id: torso, garments: {top: {marker: true, fit: 0}, legs: {fit: ""}}}
+      bob: {frame_id: torso, garments: {top: {publish_marker: true, fit: 0}, legs: {fit: ""}}}
 """,
     )
     found = load_config(path)
@@ -52,7 +52,7 @@ def test_many_avatars(tmp_path):
         ("legs", "avatars.ann.garments.legs.", "trousers"),
     ]
     assert [each.fit for avatar in (ann, bob) for each in avatar.garments] == [None, None, 0.0, None]
-    assert bob.frame_id == "torso" and bob.garments[0].marker and found.deadline == 1.0
+    assert bob.frame_id == "torso" and bob.garments[0].publish_marker and found.deadline == 1.0
 
 
 def test_garments_are_in_order(tmp_path):
@@ -109,8 +109,8 @@ def test_frames_may_bear_a_slash():
         ("drape_node: {ros__parameters: {fit: 1.5}}", "fit is 1.5; allowed: a number from 0 to 1"),
         ("drape_node: {ros__parameters: {fit: tight}}", "fit is 'tight'; allowed: a number from 0 to 1"),
         ("drape_node: {ros__parameters: {autostart: 1}}", "autostart is 1; allowed: true or false"),
-        ("drape_node: {ros__parameters: {most_bodies: 2.5}}", "most_bodies is 2.5; allowed: a whole number from 1"),
-        ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of texts"),
+        ("drape_node: {ros__parameters: {max_bodies: 2.5}}", "max_bodies is 2.5; allowed: a whole number from 1"),
+        ("drape_node: {ros__parameters: {asset_roots: /tmp}}", "asset_roots is '/tmp'; allowed: a list of strings"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0, -1]}}", "items of a list must be of one type"),
         ("drape_node: {ros__parameters: {gravity: [0.0, 0.0, 0.0]}}", "three finite numbers"),
         ("drape_node: {ros__parameters: {wind: [9.0, 9.0, 9.0]}}", "wind is [9.0, 9.0, 9.0]; allowed: three finite"),
@@ -145,8 +145,8 @@ def test_frames_may_bear_a_slash():
         ("drape_node: {ros__parameters: {model: 'a,b', tucked: true}}", "tucked is for one of several garments"),
         ("drape_node: {ros__parameters: {tucked: true}}", "tucked is true; allowed in an outfit of several garments"),
         (
-            "drape_node: {ros__parameters: {model: 'a,b', points: a.ply, outfit: false}}",
-            "points is 'a.ply' and model names 2 garments; splats lie on one: avatars.ID.garments.NAME.points",
+            "drape_node: {ros__parameters: {model: 'a,b', splats: a.ply, outfit: false}}",
+            "splats is 'a.ply' and model names 2 garments; splats lie on one: avatars.ID.garments.NAME.splats",
         ),
         ("drape_node: {ros__parameters: {model: 'a,b', layers: [b, a]}}", "layers is for avatars"),
         ("{avatars: {ann: {garments: {a: {tucked: true}}}}}", "garments.a.tucked is true; allowed in an outfit"),
@@ -167,8 +167,8 @@ def test_frames_may_bear_a_slash():
             "imu_delay is -1; allowed: a number",
         ),
         (
-            "{avatars: {ann: {garments: {a: {points: a.ply}, b: {model: skirt}}}}}",
-            "avatars.ann.garments.a.points: splats follow one garment, not the layers of an outfit; allowed with",
+            "{avatars: {ann: {garments: {a: {splats: a.ply}, b: {model: skirt}}}}}",
+            "avatars.ann.garments.a.splats: splats follow one garment, not the layers of an outfit; allowed with",
         ),
         ("{avatars: {ann: {orientation_joints: [a], garments: {top: {model: a}}}}}", "allowed: two names"),
         (

@@ -38,7 +38,7 @@ def rig():
 def site(start_site, model_path, other_body):
     """A node that gives a body twelve seconds."""
     parameters = {
-        "load_seconds": 12.0,
+        "load_timeout": 12.0,
         "asset_roots": [str(other_body.parent)],
         "avatars": {"alice": {"garments": {"top": {"model": str(model_path)}}}},
     }
@@ -77,7 +77,7 @@ def held_up(site, body):
 
 @pytest.mark.parametrize(
     ("number", "told"),
-    [(signal.SIGKILL, "(SIGKILL)"), (signal.SIGBUS, "(SIGBUS)"), (None, "within 12 s (load_seconds)")],
+    [(signal.SIGKILL, "(SIGKILL)"), (signal.SIGBUS, "(SIGBUS)"), (None, "within 12 s (load_timeout)")],
 )
 def test_a_load_that_ends_its_process(site, rig, other_body, number, told):
     """Or takes too long: clouds go on, the request is answered by one sentence, the next one by another process."""

@@ -301,7 +301,7 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     save_motion(short, tmp_path / "short.safetensors")
     save_motion(alone, tmp_path / "alone.safetensors")
     arguments += ["--motion", str(tmp_path / "short.safetensors"), str(tmp_path / "alone.safetensors")]
-    outputs = ["--json", str(tmp_path / "scores.json"), "--store", str(tmp_path / "scored.safetensors")]
+    outputs = ["--json", str(tmp_path / "scores.json"), "--save-model", str(tmp_path / "scored.safetensors")]
     assert main([str(tmp_path / "band.safetensors"), *arguments, *outputs, "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     rows = {"model", "skinning", "fewer_influences", "tilted", "subspace_minimum", "minimum", "model_on_subset"}

@@ -20,7 +20,7 @@ from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, st
 def cropped():
     """The T-shirt without the lowest part of its trunk, 1 cm wider."""
     garment = load_garment_model("tshirt").garment
-    shorter = garment.of_faces(garment.vertices[garment.faces][:, :, 2].mean(axis=1) > 0.05)
+    shorter = garment.submesh(garment.vertices[garment.faces][:, :, 2].mean(axis=1) > 0.05)
     return Garment(shorter.vertices * [1.05, 1.03, 1], shorter.faces)
 
 

@@ -20,7 +20,7 @@ from physkin_training.evaluate.score_table import dynamics_table, outfit_table, 
 
 __all__ = ["command_parser", "main"]
 
-OF_A_MODEL = {"bodies": 16, "poses": 256, "minimum": 0, "store": None}
+OF_A_MODEL = {"bodies": 16, "poses": 256, "minimum": 0, "save_model": None}
 OF_OUTFITS = {"bodies": 3, "stride": 60}
 """Options and their defaults; those of the one kind are refused for the other."""
 
@@ -77,7 +77,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--device", default=DEFAULT_DEVICE)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
-    parser.add_argument("--store", type=Path, metavar="FILE", help="write the model with its scores there")
+    parser.add_argument("--save-model", type=Path, metavar="FILE", help="write the model with its scores there")
     return parser
 
 
@@ -89,7 +89,7 @@ def _options(arguments: argparse.Namespace) -> dict:
     for name in others.keys() - known.keys():
         if getattr(arguments, name) is not None:
             of, instead = ("MODEL", "--outfit") if arguments.outfit else ("--outfit", "MODEL")
-            raise ValueError(f"--{name} is an option of {of}, not of {instead}")
+            raise ValueError(f"--{name.replace('_', '-')} is an option of {of}, not of {instead}")
     given = {name: getattr(arguments, name) for name in known}
     return {name: known[name] if value is None else value for name, value in given.items()}
 
@@ -112,7 +112,7 @@ def _score_dynamics(arguments: argparse.Namespace) -> dict:
 
 def _score_model(arguments: argparse.Namespace) -> dict:
     options, motions = _options(arguments), _motions(arguments)
-    model, store = load_garment_model(arguments.model), options.pop("store")
+    model, store = load_garment_model(arguments.model), options.pop("save_model")
     scores = evaluate_model(model, resolve_device(arguments.device), **options, motions=motions)
     print(table(scores))
     if store:

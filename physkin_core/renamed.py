@@ -1,0 +1,67 @@
+"""Public names that the last release spelled otherwise: each is refused by a sentence that gives today's name.
+
+The tables are emptied at the next release.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+__all__ = ["PARAMETERS", "attribute_error", "check_options", "refuse_old_names"]
+
+Owner = TypeVar("Owner", bound=type)
+
+OPTIONS = {
+    "demo": {"--body": "--avatar"},
+    "evaluate": {"--store": "--save-model"},
+    "export": {"--look": "--materials"},
+    "view": {"--points": "--splats"},
+}
+"""Subcommand -> its options."""
+
+PARAMETERS = {
+    "load_memory": "load_memory_limit",
+    "load_seconds": "load_timeout",
+    "marker": "publish_marker",
+    "most_bodies": "max_bodies",
+    "points": "splats",
+}
+"""Of the ROS node, its avatars and garments."""
+
+ATTRIBUTES = {
+    "physkin_core": {"made_of": "with_fabric"},
+    "BoneRotations": {"unknown": "unknown_bones"},
+    "Garment": {"of_faces": "submesh"},
+}
+"""Of a module or class."""
+
+
+def check_options(arguments: Sequence[str]) -> None:
+    """Raises ValueError for an old option. arguments: of `physkin`, the subcommand first."""
+    renamed = OPTIONS.get(arguments[0], {}) if arguments else {}
+    for old in (argument.split("=")[0] for argument in arguments[1:]):
+        if old in renamed:
+            raise ValueError(f"the option {old} of physkin {arguments[0]} is now called {renamed[old]}")
+
+
+def refuse_old_names(owner: Owner) -> Owner:
+    """Decorator of a class that `ATTRIBUTES` names: its old attributes raise AttributeError."""
+    for old in ATTRIBUTES[owner.__name__]:
+        setattr(owner, old, _Renamed(old))
+    return owner
+
+
+def attribute_error(owner: str, name: str) -> AttributeError:
+    """For an attribute that a module or class does not have, whether it was renamed or never there."""
+    new = ATTRIBUTES[owner].get(name)
+    remedy = f"is now called {new}" if new else "does not exist"
+    return AttributeError(f"{owner}.{name} {remedy}")
+
+
+class _Renamed:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object, owner: type) -> None:
+        raise attribute_error(owner.__name__, self._name)

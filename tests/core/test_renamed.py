@@ -1,0 +1,44 @@
+"""Names of the last release are refused by a sentence that gives the new one."""
+
+import pytest
+
+import physkin_core
+from physkin_core import BoneRotations, Garment
+from physkin_core.cli import main
+from physkin_core.renamed import ATTRIBUTES, OPTIONS, PARAMETERS
+from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError
+from physkin_ros.node.settings_reading import check_names
+
+OWNERS = {"physkin_core": physkin_core, "BoneRotations": BoneRotations, "Garment": Garment}
+
+
+@pytest.mark.parametrize(("command", "old"), [(command, old) for command in OPTIONS for old in OPTIONS[command]])
+def test_an_old_option_is_refused_by_naming_the_new_one(command, old, capsys):
+    """Also as --option=value, before anything else is read."""
+    for argument in (old, f"{old}=x"):
+        assert main([command, argument]) == 2
+        assert f"{old} of physkin {command} is now called {OPTIONS[command][old]}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("old", "new"), PARAMETERS.items())
+def test_an_old_parameter_is_refused_by_naming_the_new_one(old, new):
+    """The new one exists; both at the top and below avatars."""
+    known = NODE_SETTINGS | AVATAR_SETTINGS | GARMENT_SETTINGS
+    assert new in known and old not in known
+    with pytest.raises(SettingsError, match=f"{old} is now called {new}"):
+        check_names([old])
+
+
+@pytest.mark.parametrize(("owner", "old"), [(owner, old) for owner in ATTRIBUTES for old in ATTRIBUTES[owner]])
+def test_an_old_attribute_is_refused_by_naming_the_new_one(owner, old):
+    """Of the module and of classes; the new one exists."""
+    new = ATTRIBUTES[owner][old]
+    assert hasattr(OWNERS[owner], new)
+    with pytest.raises(AttributeError, match=f"{owner}.{old} is now called {new}"):
+        getattr(OWNERS[owner], old)
+
+
+def test_a_name_that_never_was_is_missing_as_usual():
+    """By the module's own sentence."""
+    with pytest.raises(AttributeError, match="physkin_core.nosuch does not exist"):
+        _ = physkin_core.nosuch
