@@ -103,15 +103,15 @@ EFFECTIVE_GRAVITY = Topic(
     "~/effective_gravity",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "gravity less the acceleration of the root [m/s2], in the body's root frame: zero in free fall, at most 29.4 "
-    "long. Takes the place of gravity for 0.5 s",
+    "gravity minus the acceleration of the root [m/s2], in the body's root frame: zero in free fall, its length "
+    "at most 29.4. Each message replaces gravity for 0.5 s",
 )
 WIND = Topic(
     "~/wind",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "velocity of the air around all avatars [m/s], at most 13 long, in the fixed world frame (Z up), whatever frame "
-    "its header names. Takes the place of the parameter wind",
+    "velocity of the air around all avatars, at most 13 m/s, in the fixed world frame (Z up), whatever frame its "
+    "header names. Replaces the parameter wind",
 )
 DRAPED_JOINT_STATES = Topic(
     "~/joint_states",
@@ -160,15 +160,15 @@ TOPICS = (
         "/tf_static",
         "in",
         "tf2_msgs/TFMessage",
-        "those parts of it that never change",
+        "the transforms among these that never change",
         needs="orientation: tf",
     ),
     Topic(
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU that is mounted like the root: its orientation gives gravity, and its linear acceleration (at rest "
-        "9.81 m/s2 up), smoothed, lets cloth lean. Without an orientation the acceleration gives both",
+        "an IMU whose axes are those of the root: its orientation gives gravity, and its linear acceleration (at rest "
+        "9.81 m/s2 up), smoothed, lets cloth lean. If it has no orientation, the acceleration gives both",
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,

@@ -158,9 +158,9 @@ class AvatarSettings:
     )
     orientation: str = _key(
         "gravity",
-        "where gravity comes from: gravity (a topic of Vector3Stamped), joints (roll and pitch in the joint "
-        "states) or fixed (the parameter gravity); or from where the root is, which also lets cloth sway: pose "
-        "(PoseStamped), odometry (Odometry), tf, or imu (Imu)",
+        "what says where down is. gravity: a topic of Vector3Stamped; joints: roll and pitch in the joint states; "
+        "fixed: the parameter gravity. The others also say how the root moves, so that cloth sways with it: pose "
+        "(PoseStamped), odometry (Odometry), tf, imu (Imu)",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
@@ -173,8 +173,8 @@ class AvatarSettings:
     )
     effective_gravity_topic: str = _key(
         "",
-        "topic of gravity less the root's acceleration [m/s2], in the root frame; while it comes, it takes the "
-        "place of gravity. Empty: ~/effective_gravity, with avatars ~/ID/effective_gravity",
+        "topic of effective gravity: gravity minus the acceleration of the root [m/s2], in the root frame. Each "
+        "message replaces gravity for 0.5 s. Empty: ~/effective_gravity, with avatars ~/ID/effective_gravity",
     )
     sway: float = _key(
         1.0,
@@ -186,20 +186,19 @@ class AvatarSettings:
     )
     wind: tuple[float, ...] = _key(
         [0.0, 0.0, 0.0],
-        "velocity of the air [m/s] in the fixed world frame, at most 13 long, until ~/wind gives another. If only "
-        "gravity is known: in the level frame that faces as the body does",
+        "velocity of the air, at most 13 m/s, in the fixed world frame; if only gravity is known, in a level frame "
+        "that faces the same way as the body. A message on ~/wind replaces it",
         changes=True,
     )
     imu_delay: float = _key(
         USUAL_DELAY,
-        "[s] time constant by which the acceleration of an IMU is smoothed; cloth follows it late by as much. 0: "
-        "not at all",
+        "[s] time constant that smooths the acceleration of an IMU; cloth follows with this delay. 0: no smoothing",
         low=0,
         high=5,
     )
     world_frame: str = _key(
         "world",
-        "upright frame: for orientation tf, and for publish_tf if a pose names no frame",
+        "frame whose Z is up: for orientation tf, and for publish_tf if a pose names no frame",
         may_be_empty=False,
     )
     publish_tf: bool = _key(
@@ -209,8 +208,8 @@ class AvatarSettings:
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] publish clouds at this rate, interpolated between joint states and one joint state late. 0: one "
-        "cloud for each joint state",
+        "[Hz] publish clouds at this rate, interpolated between joint states, which delays them by one joint state. "
+        "0: one cloud for each joint state",
         low=0,
         high=1000,
     )
@@ -256,13 +255,13 @@ class NodeSettings:
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
-        "[s] that loading a body with its garments may take before it is refused; what is worn stays on",
+        "[s] after which loading a body with its garments is given up; the avatar keeps what it wears",
         low=1,
         high=3600,
     )
     load_memory_limit: int = _key(
         LOAD_MEMORY_LIMIT,
-        "[MiB] of memory that loading may take on top of what its process has at the start",
+        "[MiB] of memory that loading may use on top of what its process starts with",
         low=64,
         high=1 << 20,
     )
@@ -273,9 +272,11 @@ class NodeSettings:
         low=0,
         high=60,
     )
-    max_bodies: int = _key(8, "bodies that an avatar with discover dresses at a time; later ones wait", low=1, high=64)
+    max_bodies: int = _key(
+        8, "number of discovered bodies that are dressed at the same time; others wait", low=1, high=64
+    )
     clear_shared_memory: bool = _key(
-        False, "at the start, delete what killed Fast DDS processes of this user left behind in /dev/shm"
+        False, "at the start, delete what killed Fast DDS processes of this user have left in /dev/shm"
     )
 
 
