@@ -28,8 +28,10 @@ __all__ = ["GarmentClient", "GarmentFrame", "GarmentSkin"]
 class GarmentFrame:
     """A draped garment.
 
-    points: (n, 6) float32 x, y, z [m] and unit normal, overwritten by the next frame. faces: (f, 3) uint32. header: of
-    the joint state.
+    Attributes:
+        header: of the joint state.
+        points: (n, 6) float32 x, y, z [m] and unit normal; overwritten by the next frame.
+        faces: (f, 3) uint32.
     """
 
     header: object
@@ -38,9 +40,21 @@ class GarmentFrame:
 
 
 class GarmentSkin:
-    """Turns `physkin_msgs/GarmentNodes` into vertices. mesh: the `physkin_msgs/GarmentMesh` they are of.
+    """Turns `physkin_msgs/GarmentNodes` into vertices.
 
-    faces: (f, 3) uint32. points: (n, 6) float32 of the last frame. Raises ValueError when the mesh contradicts itself.
+    Args:
+        mesh: the `physkin_msgs/GarmentMesh` that they belong to.
+
+    Attributes:
+        faces: (f, 3) uint32.
+        points: (n, 6) float32 of the last frame.
+
+    Raises:
+        ValueError: if the mesh contradicts itself.
+
+    Examples:
+        >>> skin = GarmentSkin(mesh)  # from ~/mesh
+        >>> points = skin.skin(message)  # from ~/garment_nodes
     """
 
     def __init__(self, mesh: GarmentMesh) -> None:
@@ -57,7 +71,17 @@ class GarmentSkin:
         self.points = np.empty((mesh.vertex_count, 6), dtype=np.float32)
 
     def skin(self, message: GarmentNodes) -> np.ndarray:
-        """The points of a frame. Raises ValueError for garment nodes of another revision or number, or not finite."""
+        """Skin one frame.
+
+        Args:
+            message: a `physkin_msgs/GarmentNodes`.
+
+        Returns:
+            (n, 6) float32 x, y, z [m] and unit normal, overwritten by the next frame.
+
+        Raises:
+            ValueError: for garment nodes of another revision or number, or that are not finite.
+        """
         if message.revision != self.revision:
             raise ValueError(f"garment nodes of revision {message.revision}, the mesh has revision {self.revision}")
         transforms, features = (
@@ -97,11 +121,23 @@ def _skinning_data(mesh: GarmentMesh) -> SkinningData:
 
 
 class GarmentClient:
-    """Subscribes to a garment's mesh and garment nodes and calls `on_frame` with every frame it can skin.
+    """Subscribes to the mesh and the garment nodes of a garment, and calls a function with every frame.
 
-    node: the reader's `rclpy.node.Node`. topics: what the garment's topics are below, such as "/drape_node" or
-    "/drape_node/alice/top". Of an outfit, points are those of the clouds before they are moved to keep layers in order
-    or hems tucked (`moved` in the mesh). skipped: frames without a mesh of their revision yet, or malformed ones.
+    For a garment of an outfit, points are those of the clouds before layers and tucked hems are put in order (`moved`
+    in the mesh).
+
+    Args:
+        node: the reader's `rclpy.node.Node`.
+        on_frame: called with each `GarmentFrame`.
+        topics: what the garment's topics are below, such as "/drape_node" or "/drape_node/alice/top".
+        depth: of the queue of garment nodes.
+
+    Attributes:
+        skipped: number of frames that were malformed, or came before the mesh of their revision.
+
+    Examples:
+        >>> client = GarmentClient(node, lambda frame: print(frame.points.shape), topics="/drape_node")
+        >>> rclpy.spin(node)
     """
 
     def __init__(

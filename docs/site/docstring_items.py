@@ -1,6 +1,7 @@
 """Extension of griffe, which reads docstrings for the Python reference: parameters and errors become a list.
 
-Docstrings name a parameter or field, then a colon: "vertices: (n, 3) [m]. faces: (f, 3)." Errors begin with "Raises".
+Docstrings without sections (`Args:` and the like, which griffe reads itself) name a parameter or field, then a colon:
+"vertices: (n, 3) [m]. faces: (f, 3)." Errors begin with "Raises".
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import re
 import griffe
 
 __all__ = ["DocstringItems", "listed"]
+
+SECTION = re.compile(r"^(Args|Attributes|Returns|Raises):$", flags=re.MULTILINE)
 
 
 class DocstringItems(griffe.Extension):
@@ -40,5 +43,5 @@ def listed(text: str, names: list[str]) -> str:
 
 
 def _list(documented: griffe.Object, names: list[str]) -> None:
-    if documented.docstring:
+    if documented.docstring and not SECTION.search(documented.docstring.value):
         documented.docstring.value = listed(documented.docstring.value, names)

@@ -27,19 +27,23 @@ class AvatarWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Avatar:
-    """One body at the canonical pose.
+    """One body in the canonical pose.
 
-    vertices: (V, 3) float32 [m]; faces: (f, 3) int32, counter-clockwise seen from outside.
-    bone_heads, bone_tails: (b, 3) float32 [m], the bones of the garment model's rig on this body.
-    influence_bones: (V, K) int32 into the rig's bones; influence_weights: (V, K) float32, rows sum to 1.
-    source: where it came from. warnings: what was assumed or repaired on the way, for the user to read.
-    bone_names: (b,) of the rig it is bound to; where left out, `Draper` can only compare the number of bones.
-    file_vertices: (V, 3) float64, where its file shows them, in the file's frame and unit; None where there is no file.
-    file_corners: (f, 3) int, which corner of the file's triangles each face's corner is, counted over the whole file:
-    where its texture places are.
-    accessories: hair, eyes, glasses and the like of its file, on the same bones: for pictures, nothing to garments.
-    clothes: what it wears already, a surface each, on the same bones: for pictures; an outfit leaves out what it
-    replaces.
+    Attributes:
+        vertices: (V, 3) float32 [m].
+        faces: (f, 3) int32, counter-clockwise seen from outside.
+        bone_heads, bone_tails: (b, 3) float32 [m], the bones of the garment model's rig on this body.
+        influence_bones: (V, K) int32, indices of the rig's bones.
+        influence_weights: (V, K) float32, rows sum to 1.
+        source: where it came from.
+        warnings: what was assumed or repaired on the way, for the user to read.
+        bone_names: (b,) of the rig that it is bound to. If empty, `Draper` can only compare the number of bones.
+        file_vertices: (V, 3) float64, the vertices in the file's own frame and unit; None if there is no file.
+        file_corners: (f, 3) int, for each corner of `faces` the corner of the file's triangles, counted over the whole
+            file; texture coordinates are found by it.
+        accessories: hair, eyes, glasses and the like, on the same bones. Pictures show them; garments ignore them.
+        clothes: what it wears already, one surface each, on the same bones. Pictures show what an outfit does not
+            replace.
 
     Examples:
         >>> avatar = physkin.load_avatar("me.glb", physkin.load_garment_model("tshirt").rig)
@@ -64,7 +68,12 @@ class Avatar:
     def posed_vertices(self, bone_transforms: np.ndarray) -> np.ndarray:
         """Body surface in a pose, by linear blend skinning.
 
-        bone_transforms: (b, 3, 4) from `Rig.bone_transforms(..., heads=self.bone_heads)`. Returns (V, 3) [m].
+        Args:
+            bone_transforms: (b, 3, 4) from `Draper.bone_transforms`, or `Rig.bone_transforms(...,
+                heads=self.bone_heads)`.
+
+        Returns:
+            (V, 3) [m].
         """
         matrices = np.asarray(bone_transforms, dtype=np.float32)
         if matrices.shape != (len(self.bone_heads), 3, 4):
@@ -72,7 +81,7 @@ class Avatar:
         return linear_blend_skinning(self.vertices, matrices, self.influence_bones, self.influence_weights)
 
     def with_accessories(self) -> Avatar:
-        """One surface to draw: the body's vertices and faces first, then those of its accessories and its clothes."""
+        """One surface to draw: the body first, then its accessories and its clothes."""
         more = [*([] if self.accessories is None else [self.accessories]), *self.clothes]
         if not more:
             return self
@@ -94,7 +103,14 @@ def joined_surfaces(avatars: Sequence[Avatar]) -> Avatar:
 
 
 def avatar_from_body(body_model: BodyModel, coefficients: np.ndarray) -> Avatar:
-    """The body of the compact body model with shape coefficients (c,); its rig must be the garment model's.
+    """A body of the body model.
+
+    Args:
+        body_model: from `load_body_model`. Its rig must be the garment model's.
+        coefficients: (c,) shape coefficients.
+
+    Returns:
+        The body as an avatar.
 
     Examples:
         >>> bodies = physkin.load_body_model()

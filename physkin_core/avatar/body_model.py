@@ -24,13 +24,19 @@ BODY_MODEL_PATH = Path(__file__).parents[1] / "assets" / "adult_body.safetensors
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """Bodies as mean plus coefficients times components.
+    """Adult bodies as a mean plus coefficients times components.
 
-    rig: bones and degrees of freedom; its heads and tails are the garment maker's body's.
-    faces: (f, 3) int32. influence_bones: (V, K) int32; influence_weights: (V, K) float32, rows sum to 1.
-    mean_vertices: (V, 3); vertex_components: (c, V, 3). mean_bones: (b, 2, 3) heads and tails; bone_components:
-    (c, b, 2, 3). garment_body: (c,) the body the shipped garments were made on. train_bodies, held_out_bodies: (s, c)
-    coefficients of sampled adults.
+    Attributes:
+        rig: bones and joints; heads and tails are those of the body that the shipped garments were made on.
+        faces: (f, 3) int32.
+        influence_bones: (V, K) int32.
+        influence_weights: (V, K) float32, rows sum to 1.
+        mean_vertices: (V, 3) [m].
+        vertex_components: (c, V, 3).
+        mean_bones: (b, 2, 3) [m], heads and tails.
+        bone_components: (c, b, 2, 3).
+        garment_body: (c,) coefficients of the body that the shipped garments were made on.
+        train_bodies, held_out_bodies: (s, c) coefficients of sampled adults.
 
     Examples:
         >>> bodies = physkin.load_body_model()
@@ -50,18 +56,35 @@ class BodyModel:
     held_out_bodies: np.ndarray
 
     def vertices(self, coefficients: np.ndarray) -> np.ndarray:
-        """(V, 3) [m] body surface at the canonical pose for shape coefficients (c,)."""
+        """Body surface in the canonical pose.
+
+        Args:
+            coefficients: (c,) shape coefficients.
+
+        Returns:
+            (V, 3) [m].
+        """
         return self.mean_vertices + np.tensordot(coefficients, self.vertex_components, axes=1)
 
     def bones(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heads (b, 3) and tails (b, 3) [m] at the canonical pose for shape coefficients (c,)."""
+        """Bones in the canonical pose.
+
+        Args:
+            coefficients: (c,) shape coefficients.
+
+        Returns:
+            Heads (b, 3) and tails (b, 3) [m].
+        """
         bones = self.mean_bones + np.tensordot(coefficients, self.bone_components, axes=1)
         return bones[:, 0], bones[:, 1]
 
 
 @cache
 def load_body_model() -> BodyModel:
-    """Read the compact body file (see `BodyModel`); the result is shared, do not write into it.
+    """Read the body model that is included.
+
+    Returns:
+        The body model. It is shared by all callers: do not write into it.
 
     Examples:
         >>> physkin.load_body_model().held_out_bodies.shape

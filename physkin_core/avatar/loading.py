@@ -21,14 +21,22 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
 
 def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
-    """Read an avatar and put it into the canonical pose of `rig`.
+    """Read an avatar and put it into the canonical pose of a rig.
 
-    path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever axis is up.
-    rig: the garment model's. rig_file: skeleton of a plain mesh (layout: `physkin_core.avatar.rig_file`), default
-    `NAME.rig.json` beside `NAME.obj` if that exists. A mesh without any skeleton gets the rig fitted to it, and a
-    warning that says so. Clothes over skin are left out; hair, eyes and shoes are `Avatar.accessories`.
-    What was assumed or repaired is kept in `Avatar.warnings` and issued as one AvatarWarning each.
-    Raises AvatarError naming what is wrong with the file and what was allowed.
+    Clothes over skin go to `Avatar.clothes`; hair, eyes and shoes to `Avatar.accessories`. What was assumed or repaired
+    is kept in `Avatar.warnings`, and issued as one AvatarWarning each.
+
+    Args:
+        path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever axis is up.
+        rig: the garment model's.
+        rig_file: skeleton of a plain mesh (docs/avatars.md#rig-file). None: `NAME.rig.json` beside `NAME.obj`, if it
+            exists. A mesh without any skeleton gets the rig fitted to it, with a warning.
+
+    Returns:
+        The avatar, bound to the rig.
+
+    Raises:
+        AvatarError: naming what is wrong with the file and what is allowed.
 
     Examples:
         >>> avatar = physkin.load_avatar("me.glb", physkin.load_garment_model("tshirt").rig)

@@ -74,23 +74,30 @@ def surface_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
 @refuse_old_names
 @dataclass(frozen=True, eq=False)
 class Garment:
-    """A triangle mesh in canonical space with rest lengths, areas and hinges.
+    """A triangle mesh in canonical space with its shape at rest: lengths, areas and hinges.
 
-    vertices: (n, 3) float64 [m], root frame of the garment maker's body at the canonical pose. faces: (f, 3) int32.
-    creases: (c, 2), edges that keep the angle that they are made with where other cloth is flat at rest, such as a
-    pressed pleat or a stiff seam; None for none.
-    panel_places: (t, 2) float64 [m], where the cloth lies on the flat panels that it was cut from, first across the
-    grain (weft), then along it (warp), and so its texture places, too; panel_faces: (f, 3) int32 below t, the place of
-    each corner of `faces`. A vertex on a seam has a place on each panel. Both or neither: without them the mesh rests
-    as it lies. Another rest shape leaves them as they were cut.
+    Attributes:
+        vertices: (n, 3) float64 [m], root frame of the body that the garment was made on, in the canonical pose.
+        faces: (f, 3) int32.
+        creases: (c, 2) edges that keep the angle they are made with, such as a pressed pleat or a stiff seam, while
+            other cloth is flat at rest. None: no creases.
+        panel_places: (t, 2) float64 [m], where the cloth lies on the flat panels that it was cut from: first across the
+            grain (weft), then along it (warp). They are its texture coordinates, too. None: the mesh is its own shape
+            at rest.
+        panel_faces: (f, 3) int32, index into `panel_places` for each corner of `faces`. A vertex on a seam has one
+            place on each panel. Given with `panel_places`, or None.
+        rest_edges: (f, 2, 2) [m], edges of each face at rest, in its plane.
+        face_areas: (f,) [m2] at rest.
+        vertex_areas: (n,) [m2] at rest, a third of each face for each of its corners.
+        edges: (e, 2) int32.
+        edge_lengths: (e,) [m] at rest, the mean of both faces' where panels meet.
+        face_edges: (f, 3) int32, the edge from each corner to the next.
+        hinges: (q, 4) int32, for each edge of two faces its two vertices, then the opposite vertex of either face.
+        creased: (q,) bool, hinges along creases.
 
-    At rest: rest_edges (f, 2, 2) [m], as of `rest_shape`; face_areas: (f,) [m2]; vertex_areas: (n,) [m2], a third of
-    each face at its corners; edge_lengths: (e,) [m], the mean of both faces' where panels meet.
-    edges: (e, 2) int32; face_edges: (f, 3) int32, the edge from each corner to the next. hinges: (q, 4) int32, of each
-    edge of two faces, in their order, its two vertices, then the opposite vertex of either face. creased: (q,) bool,
-    the hinges along creases.
-    Raises GarmentError on non-finite vertices, missing or degenerate faces, indices out of range, creases that are no
-    edges, or panels that are not those of this mesh.
+    Raises:
+        GarmentError: for vertices that are not finite, missing or degenerate faces, indices out of range, creases that
+            are not edges, and panels that do not belong to this mesh.
 
     Examples:
         >>> garment = physkin.load_garment_model("tshirt").garment
@@ -131,8 +138,18 @@ class Garment:
         self._set(**self._checked_creases())
 
     def reshaped(self, vertices: np.ndarray) -> Garment:
-        """The same mesh with another rest shape: as vertices (n, 3) [m] lie, or where it has panels, these stretched as
-        each face then is. Raises GarmentError as the class does."""
+        """The same mesh with another shape at rest.
+
+        Args:
+            vertices: (n, 3) [m]. The mesh rests as they lie; if it has panels, each face of these is stretched as its
+                face is.
+
+        Returns:
+            A new garment.
+
+        Raises:
+            GarmentError: as the class does.
+        """
         vertices = np.array(vertices, dtype=np.float64, order="C")
         if vertices.shape != self.vertices.shape or not np.isfinite(vertices).all():
             raise GarmentError(f"a rest shape must be finite {self.vertices.shape}, got shape {vertices.shape}")
@@ -144,7 +161,14 @@ class Garment:
         return other
 
     def submesh(self, chosen: np.ndarray) -> Garment:
-        """Some faces, a mask (f,), and their vertices, in their order, with the same rest shape."""
+        """Some faces with their vertices, in the same order and with the same shape at rest.
+
+        Args:
+            chosen: (f,) bool.
+
+        Returns:
+            A new garment.
+        """
         used, faces = np.unique(self.faces[chosen], return_inverse=True)
         other = Garment(self.vertices[used], faces.reshape(-1, 3))
         other._set(**other._at_rest(self.rest_edges[chosen], self.face_areas[chosen]))
@@ -202,11 +226,20 @@ class Garment:
 
 
 def load_garment(path: str | Path) -> Garment:
-    """Read a garment mesh (OBJ, PLY, STL; metres, root frame of its canonical body). Raises GarmentError.
+    """Read a garment mesh.
 
-    Vertices at equal positions (texture seams, the triangle soup of an STL file) become one, at the first one's place.
-    Line elements of an OBJ are the garment's creases. Its texture places are the panels where they are flat cloth in
-    metres, as told by their sizes (`panels_of_texture`).
+    Vertices at equal positions (texture seams, the triangle soup of an STL file) become one. Line elements of an OBJ
+    are the garment's creases. Its texture coordinates are its panels if they are flat cloth in metres, which their
+    sizes tell.
+
+    Args:
+        path: OBJ, PLY or STL file; metres, in the root frame of its canonical body.
+
+    Returns:
+        The garment.
+
+    Raises:
+        GarmentError: naming what is wrong with the file or mesh.
 
     Examples:
         >>> garment = physkin.load_garment("my.obj")

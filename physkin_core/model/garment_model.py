@@ -45,13 +45,20 @@ weights of neighbours are rounded each their own way: with 1 / 1023 that straine
 
 @dataclass(frozen=True)
 class Material:
-    """What the garment was trained as. Defaults are the reference material: jersey, flat at rest.
+    """The cloth that a garment was trained as. The defaults are the reference material: jersey, flat at rest.
 
-    youngs_modulus [N/m] and poisson_ratio of the StVK membrane, bending [J] of the dihedral energy, density [kg/m2],
-    contact_offset [m], contact_stiffness [J/m4] (energy = stiffness * vertex area * depth^2). rest_angles: "flat" for
-    cloth that bends from the plane, as woven and knitted cloth does; "as_made" for cloth that bends from the shape of
-    its mesh.
-    Raises ValueError naming a value that is not a finite number or has no physical meaning, and what is allowed.
+    Attributes:
+        youngs_modulus: [N/m] of the StVK membrane.
+        poisson_ratio: of the StVK membrane.
+        bending: [J], stiffness of the dihedral energy.
+        density: [kg/m2].
+        contact_offset: [m] from the body.
+        contact_stiffness: [J/m4]; energy = stiffness * vertex area * depth^2.
+        rest_angles: "flat" for cloth that bends from the plane, as woven and knitted cloth does; "as_made" for cloth
+            that bends from the shape of its mesh.
+
+    Raises:
+        ValueError: for a value that is not a finite number or has no physical meaning, naming what is allowed.
 
     Examples:
         >>> physkin.load_garment_model("tshirt:denim").material.density
@@ -171,7 +178,7 @@ class GarmentModel(SkinnedGarment):
         return softest, stiffest
 
     def for_engines(self) -> GarmentModel:
-        """The same model skinned by the few influences that engines take."""
+        """The same model with the few influences a vertex that game engines take."""
         return replace(self, influence_nodes=self.engine_nodes, influence_weights=self.engine_weights)
 
     def without_networks(self) -> SkinnedGarment:

@@ -59,14 +59,18 @@ class ModelFileError(ValueError):
 def load_garment_model(path: str | Path, *, content: bytes | None = None) -> GarmentModel:
     """Read a garment model and check it.
 
-    path: a file, or the name of a shipped garment ("tshirt"), which comes before a file of that name. After a colon it
-    may say which fabric the garment is to be made of ("skirt:denim", "my.safetensors:bend=1e-4"), and after another
-    colon in which colour ("skirt:denim:navy", "skirt:#334"); see `with_fabric`.
-    content: what `model_content` has read of the file already; None: the file is read.
+    Args:
+        path: the name of an included garment ("tshirt"), or a file. A fabric and a colour may follow: "skirt:denim",
+            "skirt:denim:navy", "skirt:#334", "my.safetensors:bend=1e-4"; see `with_fabric`.
+        content: the bytes of the file, if they were read already (`model_content`). None: they are read.
 
-    Raises ModelFileError when the file is missing, truncated, altered, of another schema version, or holds an array of
-    an unknown name, the wrong shape or type, an index out of range or a value that is not finite; ValueError for a
-    fabric or colour that is unknown, or a fabric that the model has not learnt.
+    Returns:
+        The garment model.
+
+    Raises:
+        ModelFileError: if the file is missing, truncated, altered or of another schema version, or has an array of an
+            unknown name, a wrong shape or type, an index out of range or a value that is not finite.
+        ValueError: for an unknown fabric or colour, or a fabric that the model has not learnt.
 
     Examples:
         >>> tshirt = physkin.load_garment_model("tshirt")
@@ -165,9 +169,14 @@ def _model(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.nda
 
 
 def save_garment_model(model: GarmentModel, path: str | Path) -> None:
-    """Write a garment model (a checked `GarmentModel`) to `path`, replacing what is there in one step.
+    """Write a garment model, replacing an existing file in one step.
 
-    Raises ModelFileError, and writes nothing, when a value is too large for the precision it is stored in.
+    Args:
+        model: a checked garment model.
+        path: the file to write.
+
+    Raises:
+        ModelFileError: if a value is too large for the precision it is stored in; nothing is written then.
 
     Examples:
         >>> silk = physkin.load_garment_model("dress:silk")

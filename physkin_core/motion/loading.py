@@ -28,7 +28,7 @@ MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
 
 
 def bundled_motions() -> tuple[str, ...]:
-    """Names of the clips that ship with the package, sorted.
+    """Names of the motions that are included, sorted.
 
     Examples:
         >>> physkin.bundled_motions()
@@ -38,14 +38,20 @@ def bundled_motions() -> tuple[str, ...]:
 
 
 def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) -> Motion:
-    """Read a motion clip.
+    """Read a motion.
 
-    path_or_name: a bundled clip (`bundled_motions`); a file that `save_motion` wrote; motion capture, .bvh or .amc,
-    which becomes motion of the default rig (`physkin_core.motion.mocap`); or a bag with joint states, .mcap, .db3 or a
-    folder with `metadata.yaml` (`physkin_core.motion.bag_motion`).
-    watch: called with the share of motion capture that has been read, 0 to 1.
+    Args:
+        path_or_name: the name of an included motion (`bundled_motions`); motion capture, .bvh or .amc, which is
+            retargeted to the default rig; a bag with joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a
+            file that `save_motion` wrote.
+        watch: called with the share of motion capture that has been read, 0 to 1.
 
-    Raises MotionError for an unknown name, an unreadable file, missing tensors, bad shapes or values not finite.
+    Returns:
+        The motion.
+
+    Raises:
+        MotionError: for an unknown name, an unreadable file, missing arrays, wrong shapes or values that are not
+            finite.
 
     Examples:
         >>> motion = physkin.load_motion("walk")

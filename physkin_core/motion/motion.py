@@ -29,11 +29,15 @@ class MotionError(ValueError):
 
 @dataclass(frozen=True)
 class Motion:
-    """A clip of T frames.
+    """A motion of T frames.
 
-    joint_names: (d,) what the columns of `positions` are, as in `sensor_msgs/JointState`.
-    positions: (T, d) float32 [rad]. root_orientation: (T, 4) float32 unit quaternion x, y, z, w, world <- root.
-    root_position: (T, 3) float32 [m] root in the world, whose floor is Z = 0. rate_hz: frames a second.
+    Attributes:
+        joint_names: (d,) names of the columns of `positions`, as in `sensor_msgs/JointState`.
+        positions: (T, d) float32 [rad].
+        root_orientation: (T, 4) float32 unit quaternions x, y, z, w from root to world.
+        root_position: (T, 3) float32 [m], the root in the world, whose floor is Z = 0.
+        rate_hz: frames a second.
+        name: of the clip.
 
     Examples:
         >>> walk = physkin.load_motion("walk").looped(10.0).resampled(30.0)
@@ -88,24 +92,24 @@ class Motion:
 
     @property
     def gravity(self) -> np.ndarray:
-        """(T, 3) float32 unit gravity direction (world -Z) in the root frame."""
+        """(T, 3) float32 unit direction of gravity (world -Z) in the root frame."""
         x, y, z, w = self.root_orientation.T
         down = [2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1]
         return np.stack(down, axis=1)
 
     @property
     def times(self) -> np.ndarray:
-        """(T,) [s] from the first frame on."""
+        """(T,) [s] of the frames, from 0 on."""
         return np.arange(self.frame_count) / self.rate_hz
 
     @property
     def root(self) -> np.ndarray:
-        """(T, 7) where the root is: x, y, z [m] and its quaternion x, y, z, w, as drapes that sway take it."""
+        """(T, 7) where the root is: x, y, z [m] and its quaternion x, y, z, w, as `Draper.drape` takes it."""
         return np.concatenate([self.root_position, self.root_orientation], axis=1)
 
     @property
     def is_cycle(self) -> bool:
-        """Whether the last frame is the first again, wherever the body has walked meanwhile."""
+        """Whether the last pose is the first one again, wherever the body has walked meanwhile."""
         if self.frame_count == 1:
             return False
         gap = np.abs(self.positions[-1] - self.positions[0]).max(initial=0.0)
@@ -113,10 +117,22 @@ class Motion:
         return bool(gap < CLOSED_POSITION and tilt < CLOSED_GRAVITY)
 
     def positions_for(self, rig: Rig) -> np.ndarray:
-        """Joint positions (T, d) float32 [rad] in the order of another rig, matched by name.
+        """Joint positions for another rig, matched by name.
 
-        Joints of the rig that the clip does not have stay at rest; those that only the clip has are left out.
-        Raises MotionError when no name matches.
+        Args:
+            rig: the other rig. Its joints that the motion does not have stay at rest; joints that only the motion has
+                are ignored.
+
+        Returns:
+            (T, d) float32 [rad] in the order of that rig.
+
+        Raises:
+            MotionError: if no name matches.
+
+        Examples:
+            >>> rig = physkin.load_garment_model("tshirt").rig
+            >>> physkin.load_motion("walk").positions_for(rig).shape
+            (77, 52)
         """
         column = {name: k for k, name in enumerate(self.joint_names)}
         matched = [k for k, name in enumerate(rig.joint_names) if name in column]
@@ -130,10 +146,16 @@ class Motion:
         return positions
 
     def resampled(self, rate_hz: float) -> Motion:
-        """The clip at another rate, by cubic splines, so that velocities do not jump at the old frames.
+        """The motion at another rate, by cubic splines, so that velocities do not jump at the old frames.
 
-        First and last frame are kept: time is stretched by less than half a new frame. Raises MotionError for a rate
-        that is not positive and finite, and for more than `MOST_FRAMES`.
+        Args:
+            rate_hz: frames a second.
+
+        Returns:
+            A motion with the same first and last frame: time is stretched by less than half a new frame.
+
+        Raises:
+            MotionError: for a rate that is not positive and finite, or gives more than `MOST_FRAMES`.
         """
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
@@ -159,10 +181,17 @@ class Motion:
         )
 
     def looped(self, seconds: float) -> Motion:
-        """Exactly ceil(seconds * rate_hz) frames without a jump.
+        """The motion repeated or cut, without a jump.
 
-        A cycle (`is_cycle`) repeats, each round starting where and facing as the last one ended; any other clip is
-        played forwards and backwards in turn. Raises MotionError when `seconds` is not positive and finite.
+        Args:
+            seconds: length of the result. A cycle (`is_cycle`) repeats, each round starting where the last one ended
+                and facing the same way; any other motion is played forwards and backwards in turn.
+
+        Returns:
+            Exactly ceil(seconds * rate_hz) frames.
+
+        Raises:
+            MotionError: for a length that is not positive and finite.
         """
         if not (math.isfinite(seconds) and seconds > 0):
             raise MotionError(f"seconds must be positive and finite, got {seconds}")

@@ -30,14 +30,24 @@ __all__ = ["Draper"]
 class Draper:
     """Drapes one garment on one body, a pose at a time.
 
-    precision, fit, normals: as of `Outfit`.
-    points, point_normals: optionally another mesh's vertices (n, 3) or a point set of the same garment, in canonical
-        space; they have no faces.
-    model: the garment model. outfit: that of this one garment.
-    Where the garment does not fit the body, an AvatarWarning says so; `avatar.warnings` keeps it.
-    Raises TypeError for anything but a model and an avatar; ValueError for an unknown precision or kind of normals, a
-    body of another rig, a fit that is not possible, points that are not this garment's, or normals of faces where there
-    are points without any.
+    If the garment does not fit the body, an AvatarWarning says so; `avatar.warnings` keeps it.
+
+    Args:
+        model: the garment model.
+        avatar: the body, bound to the model's rig.
+        precision, fit, normals: as for `Outfit`.
+        points: (n, 3) [m], optional: other points of the same garment to drape instead of its mesh, in canonical space.
+            They have no faces.
+        point_normals: (n, 3) unit normals of these points.
+
+    Attributes:
+        model: the garment model.
+        outfit: the outfit of this one garment.
+
+    Raises:
+        TypeError: for anything but a model and an avatar.
+        ValueError: for an unknown precision or kind of normals, a body of another rig, a fit that is not possible,
+            points that do not lie on this garment, or `normals="faces"` for points without faces.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -76,22 +86,22 @@ class Draper:
 
     @property
     def avatar(self) -> Avatar:
-        """The body, with what was warned of."""
+        """The body, with its warnings."""
         return self.outfit.avatar
 
     @property
     def fit(self) -> float:
-        """0 for one size to 1 for made to measure."""
+        """From 0 for one size to 1 for made to measure."""
         return self.layer.fit
 
     @property
     def bound(self) -> BoundGarment:
-        """What a frame needs."""
+        """The garment bound to the body: all that a frame needs."""
         return self.layer.given
 
     @property
     def at_rest(self) -> RestLook:
-        """How the garment sits, seen when it was bound."""
+        """How the garment sits on the body at rest, as it was when it was bound."""
         return self.layer.at_rest
 
     @property
@@ -101,12 +111,12 @@ class Draper:
 
     @property
     def instruction_set(self) -> str:
-        """Of the evaluator."""
+        """Instruction set that the evaluator uses, such as "v3"."""
         return self.outfit.instruction_set
 
     @property
     def precision(self) -> Precision:
-        """Of the network weights it computes with."""
+        """Precision of the network weights that the evaluator uses."""
         return self.outfit.precision
 
     @property
@@ -121,7 +131,8 @@ class Draper:
 
     @property
     def rest_garment(self) -> Garment:
-        """The model's mesh in the rest shape worn here, which depends on the fit: what strains are measured against."""
+        """The model's mesh in the rest shape that is worn here, which depends on the fit. Strains are measured against
+        it."""
         return self.layer.rest_garment
 
     def drape(
@@ -134,11 +145,21 @@ class Draper:
         root: np.ndarray | None = None,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Deform the garment for one pose.
+        """Drape the garment in one pose.
 
-        joint_positions, gravity, effective_gravity, time, root: as of `Outfit.drape`, which raises ValueError for what
-        is not allowed. out: (n, 6) or (n, 3) writable float32 view, any row stride; default a new (n, 6).
-        Returns `out`: x, y, z [m], then the unit normal.
+        Args:
+            joint_positions, gravity, effective_gravity, time, root: as for `Outfit.drape`.
+            out: (n, 6) or (n, 3) writable float32 array with any row stride. None: a new (n, 6).
+
+        Returns:
+            `out`: x, y, z [m], then the unit normal of each vertex, in the root frame.
+
+        Raises:
+            ValueError: as `Outfit.drape` does.
+
+        Examples:
+            >>> model = physkin.load_garment_model("tshirt")
+            >>> cloud = physkin.Draper(model, physkin.load_avatar("me.glb", model.rig)).drape({"lowerarm01.L_z": -1.0})
         """
         outs = None if out is None else [out]
         return self.outfit.drape(
@@ -154,9 +175,22 @@ class Draper:
         effective_gravity: np.ndarray | None = None,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
-        """As `drape`, of a pose given as rotations of bones: unit quaternions (x, y, z, w) by bone, others at rest.
+        """Drape the garment in a pose that is given as rotations of bones.
 
-        rotations, skeleton: see `BoneRotations`. Raises ValueError as `drape` and `BoneRotations.joint_positions` do.
+        Args:
+            rotations, skeleton: as for `BoneRotations`; unit quaternions x, y, z, w by bone, other bones being at rest.
+            gravity, effective_gravity, out: as for `drape`.
+
+        Returns:
+            `out`, as for `drape`.
+
+        Raises:
+            ValueError: as `drape` and `BoneRotations.joint_positions` do.
+
+        Examples:
+            >>> model = physkin.load_garment_model("tshirt")
+            >>> draper = physkin.Draper(model, physkin.load_avatar("me.glb", model.rig))
+            >>> cloud = draper.drape_rotations({"upperarm01.L": (0.0, 0.0, 0.259, 0.966)})
         """
         if skeleton not in self._bone_rotations:
             self._bone_rotations[skeleton] = BoneRotations(self.model.rig, skeleton=skeleton)
@@ -165,7 +199,7 @@ class Draper:
 
     @property
     def sway(self) -> float:
-        """How much the cloth swings where `drape` is given time and root; as of `Outfit`."""
+        """How much the cloth swings when `drape` is given time and root: see `Outfit.sway`."""
         return self.outfit.frame_input.sways[0]
 
     @sway.setter
@@ -174,7 +208,7 @@ class Draper:
 
     @property
     def wind(self) -> tuple[float, float, float]:
-        """Velocity [m/s] (3) of the air in the world; as of `Outfit`."""
+        """Velocity [m/s] of the air in the world: see `Outfit.wind`."""
         return self.outfit.wind
 
     @wind.setter
@@ -182,25 +216,26 @@ class Draper:
         self.outfit.wind = velocity
 
     def reset(self) -> None:
-        """Let the cloth hang still, as if the next frame were the first."""
+        """Let the cloth hang still in the next frame, as in the first one."""
         self.outfit.reset()
 
     def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, out: np.ndarray) -> Callable[[], None]:
-        """A frame bound to its arrays, as of `Outfit.bind_frame`."""
+        """A frame that is bound to its arrays: see `Outfit.bind_frame`."""
         return self.outfit.bind_frame(joint_positions, inputs, [out])
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here for hosts without Python; as of `Outfit`."""
+        """Write what is bound here to a file for hosts without Python: see `Outfit.save_bound`."""
         self.outfit.save_bound(path)
 
     def node_transforms(self) -> np.ndarray:
-        """Garment node transforms chi (m, 3, 4) of the last `drape`, canonical garment node frame to root frame."""
+        """Garment node transforms (m, 3, 4) of the last frame, from the canonical frame of the garment node to the root
+        frame."""
         return self.outfit.node_transforms()[0]
 
     def features(self) -> np.ndarray:
-        """What moves the detail nodes in the last `drape`, (F,), empty of a garment without any."""
+        """What moves the detail nodes in the last frame: (F,), empty for a garment without any."""
         return self.outfit.features()[0]
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(b, 3, 4) canonical-to-posed transforms of this body's bones; as of `Outfit`."""
+        """(b, 3, 4) canonical-to-posed transforms of the bones of this body: see `Outfit.bone_transforms`."""
         return self.outfit.bone_transforms(joint_positions)

@@ -39,24 +39,34 @@ FULL_TURN = 2 * np.pi
 class Outfit:
     """Drapes one to four garments on one body, a pose at a time.
 
-    garments: from the skin outwards; `WornGarment(model, tucked=True)` for one whose hem is worn under the waistband of
-        the next. A garment knows what lies under it, so that the same shirt is wider over trousers.
-    precision: of the network weights, "fp32", "bf16" or "int8" (see `Evaluator`); None for the default, int8.
-    fit: of garments without their own: 1 for made to measure for this body, 0 for the garment's one size, or between;
-        above 0 only with the body model's rig. None, the default: 1 with that, 0 with others. Above 0 it takes some
-        tenths of a second more when the body is bound, nothing a frame.
-    normals: "skinned", rest normals carried along with their vertices, or "faces", recomputed from the draped mesh:
-        truer where the cloth ripples or slides, for some 2 ns a vertex. Garments with detail have those in any case.
-    hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are given. False: give
-        all.
-    own_clothes: what pictures show of clothes that the avatar wears already: "replace", all but those that the garments
-        replace; "hide", none; "keep", all that is not under a garment. Drapes are the same.
-    layers: the garments as they are worn here. orders: what keeps them in order. avatar: with all `warnings`.
-    What can be worn but looks odd, or does not sit, is issued as AvatarWarning, which `warnings` keeps.
-    A joint more than a full turn beyond its limits is probably in degrees: the first such one is logged as a warning.
-    Raises TypeError for anything but garments and an avatar; ValueError, in one sentence, for what cannot be worn (a
-    garment twice, more than four, several rigs, a body of another rig, a tuck or an order that does not go), a fit that
-    is not possible, an unknown precision or kind of normals.
+    What can be worn but looks odd, or does not sit well, is issued as an AvatarWarning. A joint more than a full turn
+    beyond its limits is probably given in degrees: the first one is logged as a warning.
+
+    Args:
+        garments: from the skin outwards; `WornGarment(model, tucked=True)` for one whose hem is worn under the
+            waistband of the next. Each is fitted over what lies beneath it: the same shirt is wider over trousers.
+        avatar: the body, bound to the rig of the garments.
+        precision: of the network weights: "fp32", "bf16" or "int8". None: int8.
+        fit: 1 for made to measure, 0 for the garment's one size, or between, for garments without a fit of their own.
+            Above 0 only with the body model's rig. None: 1 with that rig, 0 with others. Above 0, binding takes some
+            tenths of a second longer; frames take the same time.
+        normals: "skinned": rest normals are carried along with their vertices; "faces": they are computed from the
+            draped mesh, which is truer where cloth ripples or slides, and takes about 2 ns a vertex. A garment with
+            detail always has the latter.
+        hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are left. False: all.
+        own_clothes: what pictures show of clothes that the avatar wears already. "replace": all but those that the
+            garments replace; "hide": none; "keep": all that is not under a garment. Drapes are the same.
+
+    Attributes:
+        layers: the garments as they are worn here, from the skin outwards.
+        orders: what keeps neighbouring layers in order.
+        avatar: the body.
+        warnings: of the avatar, and of how garments sit.
+
+    Raises:
+        TypeError: for anything but garments and an avatar.
+        ValueError: for what cannot be worn (a garment twice, more than four, several rigs, a body of another rig, an
+            impossible tuck or order), a fit that is not possible, an unknown precision or kind of normals.
 
     Examples:
         >>> trousers, tshirt = map(physkin.load_garment_model, ("trousers", "tshirt"))
@@ -89,8 +99,11 @@ class Outfit:
         precision: Precision | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> Outfit:
-        """An outfit that was put on already, maybe by another process; nothing is warned of again. Raises ValueError
-        for an unknown precision or kind of normals, and as `Evaluator` where arrays do not fit together."""
+        """An outfit that has been bound already, perhaps by another process. Nothing is warned of again.
+
+        Raises:
+            ValueError: for an unknown precision or kind of normals, or arrays that do not fit together.
+        """
         outfit = cls.__new__(cls)
         outfit._wear(bound, precision, normals)
         return outfit
@@ -109,22 +122,34 @@ class Outfit:
         self._warned_of_degrees = False
 
     def twin(self) -> Outfit:
-        """The same outfit on the same body with frames of its own, for another performer; nothing is bound anew, and
-        `sway` and `wind` are as they are here now."""
+        """The same outfit on the same body, for another performer: it has frames of its own, and starts with the
+        present
+        `sway` and `wind`. Nothing is bound again.
+
+        Examples:
+            >>> tshirt = physkin.load_garment_model("tshirt")
+            >>> outfit = physkin.Outfit([tshirt], physkin.load_avatar("me.glb", tshirt.rig))
+            >>> second = outfit.twin()
+        """
         twin, here = copy(self), self.frame_input
         twin._begin(self.layers)
         twin.frame_input.sways, twin.frame_input.wind = here.sways, here.wind
         return twin
 
     def giving(self, garment: int, bound: BoundGarment) -> Outfit:
-        """A twin that gives other vertices of a garment: those of a bound garment on the same garment nodes."""
+        """A twin whose clouds have other vertices of one garment.
+
+        Args:
+            garment: index of the garment.
+            bound: the other vertices, bound to the same garment nodes.
+        """
         twin, layers = copy(self), list(self.layers)
         layers[garment] = replace(layers[garment], given=bound, visible=np.empty(0, dtype=np.int32))
         twin._begin(layers)
         return twin
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here for hosts without Python, in C and in a browser: see native/include/physkin.h."""
+        """Write what is bound here to a file for hosts without Python: C (`native/include/physkin.h`) and browsers."""
         save_bound_outfit(
             [layer.given for layer in self.layers],
             path,
@@ -136,7 +161,7 @@ class Outfit:
 
     @property
     def rig(self) -> Rig:
-        """Of all garments."""
+        """The rig that all garments share."""
         return self.layers[0].model.rig
 
     @property
@@ -151,12 +176,12 @@ class Outfit:
 
     @property
     def instruction_set(self) -> str:
-        """Of the evaluator."""
+        """Instruction set that the evaluator uses, such as "v3"."""
         return self._evaluator.instruction_set
 
     @property
     def precision(self) -> Precision:
-        """Of the network weights it computes with."""
+        """Precision of the network weights that the evaluator uses."""
         return self._evaluator.precision
 
     def drape(
@@ -169,18 +194,32 @@ class Outfit:
         root: np.ndarray | None = None,
         outs: Sequence[np.ndarray] | None = None,
     ) -> list[np.ndarray]:
-        """Deform all garments for one pose.
+        """Drape all garments in one pose.
 
-        joint_positions: (d,) [rad] in the order of `joint_names`, or positions by joint name, the others being at rest.
-        gravity: (3,) direction in the root frame, any length but zero, of a root that is not accelerated.
-        effective_gravity: (3,) [m/s2] in the root frame, of one that is: gravity less the root's acceleration, zero in
-        free fall, at most three times gravity; takes the place of `gravity`.
-        time: [s] when this is; frames are then to be given in their order, and cloth that would leap from one to the
-        next goes over at its pace. root: (7,), with time: where the root is in the world, as of `FrameInput.move`,
-        which then also says where down is: cloth lags, swings and settles as much as `sway` says.
-        outs: one a garment, writable float32 views, all (v, 6) or all (v, 3), any row stride; default new (v, 6).
-        Returns `outs`: x, y, z [m], then unit normals; row k of a garment is its vertex `Layer.visible[k]`.
-        Raises ValueError on wrong lengths, unknown joints or values that are not finite, naming the joint.
+        Args:
+            joint_positions: (d,) [rad] in the order of `joint_names`; or positions by joint name, all others being at
+                rest.
+            gravity: (3,) direction of gravity in the root frame, of any length but zero, for a root that is not
+                accelerated.
+            effective_gravity: (3,) [m/s2] in the root frame: gravity minus the acceleration of the root. Zero in free
+                fall, at most three times gravity. Used instead of `gravity`.
+            time: [s] of this frame. Frames must then come in their order, and cloth that would leap between two of them
+                moves over at a limited speed.
+            root: (7,), with `time`: where the root is in the world, as for `FrameInput.move`. It also says where down
+                is, and makes cloth lag, swing and settle as much as `sway` says.
+            outs: one writable float32 array for each garment, all (v, 6) or all (v, 3), with any row stride. None: new
+                (v, 6).
+
+        Returns:
+            `outs`: x, y, z [m], then unit normals. Row k of a garment is its vertex `Layer.visible[k]`.
+
+        Raises:
+            ValueError: for wrong lengths, unknown joints and values that are not finite, naming the joint.
+
+        Examples:
+            >>> tshirt = physkin.load_garment_model("tshirt")
+            >>> outfit = physkin.Outfit([tshirt], physkin.load_avatar("me.glb", tshirt.rig))
+            >>> (cloud,) = outfit.drape({"lowerarm01.L_z": -1.0})
         """
         positions = self.checked_positions(joint_positions)
         self.frame_input.fill(gravity, effective_gravity=effective_gravity, time=time, root=root)
@@ -190,8 +229,17 @@ class Outfit:
         return list(outs)
 
     def checked_positions(self, joint_positions: np.ndarray | Mapping[str, float]) -> np.ndarray:
-        """Joint positions given as to `drape`, as evaluators take them: (d,) float32 [rad]. Raises ValueError as that
-        does; warns, once, of what looks like degrees."""
+        """Joint positions as evaluators take them; warns once of what looks like degrees.
+
+        Args:
+            joint_positions: as for `drape`.
+
+        Returns:
+            (d,) float32 [rad].
+
+        Raises:
+            ValueError: as `drape` does.
+        """
         rig = self.rig
         if isinstance(joint_positions, Mapping):
             joint_positions = rig.joint_positions(joint_positions)
@@ -216,14 +264,28 @@ class Outfit:
     def bind_frame(
         self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]
     ) -> Callable[[], None]:
-        """A frame bound to its arrays, as of `Evaluator.bind_frame`: called, it drapes what they hold into `outs`."""
+        """A frame that is bound to its arrays, for loops in which every microsecond counts.
+
+        Args:
+            joint_positions: (d,) float32 [rad].
+            inputs: `rows` of a `FrameInput`.
+            outs: as for `drape`.
+
+        Returns:
+            A function that drapes what the arrays hold, into `outs`.
+        """
         return self._evaluator.bind_frame(joint_positions, inputs, outs).step
 
     @property
     def sway(self) -> float | tuple[float, ...]:
-        """How much the garments swing where `drape` is given time and root, 0 to 1: one number for all, or, where they
-        differ, one each from the skin outwards. 1, the default: all of it; 0: not at all, and every drape is by itself,
-        whatever time it is. Raises ValueError, when set, for other numbers, or another number of them."""
+        """How much the garments swing when `drape` is given time and root, from 0 to 1: one number for all or, where
+        they
+        differ, one for each from the skin outwards. 1 is the default. At 0 every frame is draped by itself, whatever
+        its time.
+
+        Raises:
+            ValueError: when set to other numbers, or to another number of them.
+        """
         sways = self.frame_input.sways
         return sways if len(set(sways)) > 1 else sways[0]
 
@@ -235,8 +297,11 @@ class Outfit:
 
     @property
     def wind(self) -> tuple[float, float, float]:
-        """Velocity [m/s] of the air in the world, as of `FrameInput.wind`; (0, 0, 0), the default, is still air. At any
-        time. Raises ValueError, when set, unless it is three finite numbers, at most 13 m/s long."""
+        """Velocity [m/s] of the air in the world; (0, 0, 0), the default, is still air. May change at any time.
+
+        Raises:
+            ValueError: when set to anything but three finite numbers, at most 13 m/s long.
+        """
         return self.frame_input.wind
 
     @wind.setter
@@ -244,23 +309,32 @@ class Outfit:
         self.frame_input.wind = velocity
 
     def reset(self) -> None:
-        """Let the cloth hang still, as if the next frame were the first; see `FrameInput.reset`."""
+        """Let the cloth hang still in the next frame, as in the first one."""
         self.frame_input.reset()
 
     def node_transforms(self) -> tuple[np.ndarray, ...]:
-        """Garment node transforms (m, 3, 4) of each garment in the last frame, canonical garment node frame to root
-        frame. Skinned by `Layer.given` they give the vertices as they are before those of layers `moved` are moved."""
+        """Garment node transforms (m, 3, 4) of each garment in the last frame, from the canonical frame of the garment
+        node to the root frame. Skinned by `Layer.given` they give the vertices before layers and tucked hems are put in
+        order.
+        """
         return tuple(self._evaluator.node_transforms(k) for k in range(len(self.layers)))
 
     def features(self) -> tuple[np.ndarray, ...]:
-        """What moves the detail nodes of each garment in the last frame (F,), empty where there are none: skinning
-        takes it beside `node_transforms`."""
+        """What moves the detail nodes of each garment in the last frame: (F,), empty for a garment without any.
+        Skinning
+        takes it together with `node_transforms`.
+        """
         return tuple(self._evaluator.features(k) for k in range(len(self.layers)))
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(b, 3, 4) canonical-to-posed transforms of this body's bones, for posing the body beside the garments.
+        """Transforms of the bones of this body, for posing the body with the garments.
 
-        joint_positions: (d,) [rad], as `drape` takes them."""
+        Args:
+            joint_positions: (d,) [rad] in the order of `joint_names`.
+
+        Returns:
+            (b, 3, 4), canonical to posed, in the root frame.
+        """
         return self.rig.bone_transforms(joint_positions, heads=self.avatar.bone_heads)
 
     @cached_property
@@ -283,7 +357,14 @@ class Outfit:
         return np.concatenate([~self.body_mask, np.ones(accessories, dtype=bool)])
 
     def posed_body(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(V, 3) [m] `body_to_draw` in a pose, for drawing it beside the garments."""
+        """`body_to_draw` in a pose, for drawing it with the garments.
+
+        Args:
+            joint_positions: (d,) [rad] in the order of `joint_names`.
+
+        Returns:
+            (V, 3) [m] in the root frame.
+        """
         return self.body_to_draw.posed_vertices(self.bone_transforms(joint_positions))
 
 

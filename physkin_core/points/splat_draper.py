@@ -74,10 +74,19 @@ class SplatSkinner:
 
 
 class SplatDraper:
-    """Drapes splats of one garment on one body, a pose at a time.
+    """Drapes Gaussian splats of one garment on one body, a pose at a time.
 
-    splats: of the garment, in canonical space. fit: as of `Draper`. avatar: the body, with what was warned of.
-    Raises ValueError as `Draper` does, and for splats farther than 5 cm from the garment.
+    Args:
+        model: the garment model.
+        avatar: the body, bound to the model's rig.
+        splats: of the garment, in canonical space.
+        fit: as for `Draper`.
+
+    Attributes:
+        avatar: the body, with its warnings.
+
+    Raises:
+        ValueError: as `Draper` does, and for splats farther than 5 cm from the garment.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -104,6 +113,16 @@ class SplatDraper:
         *,
         effective_gravity: np.ndarray | None = None,
     ) -> Splats:
-        """The splats in one pose, given as to `Draper.drape`, in the root frame. Raises ValueError as that does."""
+        """Drape the splats in one pose.
+
+        Args:
+            joint_positions, gravity, effective_gravity: as for `Draper.drape`.
+
+        Returns:
+            The splats in the root frame.
+
+        Raises:
+            ValueError: as `Draper.drape` does.
+        """
         self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity)
         return self._skinner.skin(self._draper.node_transforms(), self._draper.features())

@@ -20,11 +20,16 @@ TINY = np.float32(1e-30)
 
 @dataclass(frozen=True)
 class Splats:
-    """centres: (n, 3) [m]. rotations: (n, 4) unit quaternions x, y, z, w, from a splat's axes to the frame that centres
-    are in. scales: (n, 3) [m] standard deviations along the axes. All float32.
+    """Gaussian splats, as float32 arrays.
 
-    Quaternions of another length are brought to 1. Raises ValueError where a shape is wrong, a value is not finite, a
-    quaternion has no length or a scale is not positive.
+    Args:
+        centres: (n, 3) [m].
+        rotations: (n, 4) quaternions x, y, z, w, from a splat's axes to the frame of the centres. They are normalised.
+        scales: (n, 3) [m] standard deviations along the axes.
+
+    Raises:
+        ValueError: for wrong shapes, values that are not finite, quaternions of no length, and scales that are not
+            positive.
 
     Examples:
         >>> physkin.Splats([[0, 0, 1]], [[0, 0, 0, 1]], [[0.01, 0.01, 0.001]]).covariances().shape
@@ -53,7 +58,7 @@ class Splats:
         object.__setattr__(self, "rotations", self.rotations / length)
 
     def axes(self) -> np.ndarray:
-        """(n, 3, 3) float32 the splats' unit axes, as columns."""
+        """(n, 3, 3) float32, the unit axes of the splats as columns."""
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_quat(self.rotations).as_matrix().astype(np.float32)
@@ -64,7 +69,14 @@ class Splats:
         return columns @ columns.transpose(0, 2, 1)
 
     def transformed(self, linear: np.ndarray) -> Splats:
-        """In another frame and unit: `linear` (3, 3) is a rotation times a scale, without a shift."""
+        """The splats in another frame and unit.
+
+        Args:
+            linear: (3, 3), a rotation times a scale.
+
+        Returns:
+            New splats.
+        """
         from scipy.spatial.transform import Rotation
 
         scale = np.cbrt(np.linalg.det(linear))

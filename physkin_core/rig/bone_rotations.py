@@ -25,17 +25,24 @@ NEGLIGIBLE = 1e-12  # [rad] an angle of this size is rounding of zero
 
 @refuse_old_names
 class BoneRotations:
-    """Takes rotations of bones apart into the joint positions of a rig.
+    """Splits rotations of bones into the joint positions of a rig.
 
-    skeleton: whose bones they are. "rig": the rig's own; a bone's rotation is relative to its parent and to the
-        canonical pose, in the axes of the root frame (X forward, Y left, Z up), which every bone has at that pose.
-        "vrm": VRM's humanoid bones, relative to parent and T-pose, in VRM's axes (`vrm_bones`); for the default rig.
     A rotation becomes rotations about the bone's joints, in their order; what the bone has no joint for is left out.
-    Positions are not held to the rig's limits, as those that are given are not: the networks see them clipped, bones
-    turn by them as they are. Rotations that joint positions within the limits of the default rig give come back as
-    these, to single precision.
-    bone_names: (k,) bones that may be given. Raises RigError for an unknown skeleton, and for a rig whose bones have
-    joints about axes that are not at right angles.
+    Positions are not clipped to the rig's limits: the networks see them clipped, but bones turn by them as they are.
+    For the default rig, rotations that come from joint positions within its limits give these back to single precision.
+
+    Args:
+        rig: the rig.
+        skeleton: whose bones are rotated. "rig": the rig's own; a rotation is relative to the parent and to the
+            canonical pose, in the axes of the root frame (X forward, Y left, Z up), which every bone has in that pose.
+            "vrm": VRM's humanoid bones, relative to the parent and to the T-pose, in VRM's axes; only for the default
+            rig.
+
+    Attributes:
+        bone_names: (k,) bones that may be given.
+
+    Raises:
+        RigError: for an unknown skeleton, and for a rig with joints of one bone that are not at right angles.
 
     Examples:
         >>> rotations = physkin.BoneRotations(physkin.load_garment_model("tshirt").rig)
@@ -65,11 +72,17 @@ class BoneRotations:
     def joint_positions(
         self, rotations: Mapping[str, Sequence[float]] | np.ndarray, *, start: np.ndarray | None = None
     ) -> np.ndarray:
-        """Joint positions (d,) float64 [rad], in the rig's order.
+        """Joint positions for rotations of bones.
 
-        rotations: unit quaternions (x, y, z, w) by bone, or (k, 4) in the order of `bone_names`. Bones that are left
-        out are at rest; or, with `start` (d,) [rad], have the positions given there.
-        Raises RigError naming an unknown bone, and a quaternion that is not finite or not of length 1.
+        Args:
+            rotations: unit quaternions (x, y, z, w) by bone; or (k, 4) in the order of `bone_names`.
+            start: (d,) [rad], positions of the bones that are left out. None: at rest.
+
+        Returns:
+            (d,) float64 [rad], in the rig's order.
+
+        Raises:
+            RigError: naming an unknown bone, or a quaternion that is not finite or not of length 1.
         """
         if not isinstance(rotations, Mapping):
             given = np.asarray(rotations, dtype=np.float64)
@@ -94,7 +107,7 @@ class BoneRotations:
         return positions
 
     def unknown_bones(self, names: Iterable[str]) -> list[str]:
-        """Those of the names that are no bones."""
+        """Those of the names that are not bones."""
         return [name for name in names if name not in self._row]
 
 

@@ -31,10 +31,14 @@ class RigError(ValueError):
 
 @dataclass(frozen=True)
 class DegreeOfFreedom:
-    """One named rotation of one bone: the scalar a `sensor_msgs/JointState` carries.
+    """One joint: a named rotation of one bone about one axis, which `sensor_msgs/JointState` carries as a number.
 
-    axis: unit vector in the root frame at the canonical pose. lower, upper: limits [rad]. rest: the scalar's value at
-    the canonical pose [rad], so the bone turns by `value - rest`.
+    Attributes:
+        name: of the joint.
+        bone: the bone that it turns.
+        axis: (3,) unit vector in the root frame, in the canonical pose.
+        lower, upper: limits [rad].
+        rest: position in the canonical pose [rad]; the bone turns by `position - rest`.
 
     Examples:
         >>> elbow = next(dof for dof in physkin.load_garment_model("tshirt").rig.dofs if dof.name == "lowerarm01.L_z")
@@ -52,11 +56,13 @@ class DegreeOfFreedom:
 
 @dataclass(frozen=True)
 class Rig:
-    """A skeleton in canonical pose with its scalar degrees of freedom.
+    """A skeleton in canonical pose, and its joints.
 
-    bone_names: (b,), a parent before its children. parents: (b,) int32, -1 for the root (bone 0).
-    heads, tails: (b, 3) [m], joint centre and far end of each bone at the canonical pose, root frame.
-    dofs: degrees of freedom; several on one bone compose in listed order (intrinsic rotations).
+    Attributes:
+        bone_names: (b,), a parent before its children.
+        parents: (b,) int32, -1 for the root (bone 0).
+        heads, tails: (b, 3) [m] joint centre and far end of each bone in the canonical pose, root frame.
+        dofs: the joints. Several on one bone are applied in the order of the list (intrinsic rotations).
 
     Examples:
         >>> rig = physkin.load_garment_model("tshirt").rig
@@ -128,12 +134,12 @@ class Rig:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """(d,) names of the degrees of freedom, in the order joint positions are given."""
+        """(d,) names of the joints, in the order of joint positions."""
         return tuple(dof.name for dof in self.dofs)
 
     @property
     def pose_size(self) -> int:
-        """Length p of the pose vector: one number a degree of freedom, then the gravity direction."""
+        """Length p of the pose vector: one number for each joint, then the direction of gravity."""
         return len(self.dofs) + 3
 
     def bone_index(self, name: str) -> int:
@@ -144,10 +150,17 @@ class Rig:
             raise RigError(f"no bone {name!r} in this rig; bones are {', '.join(self.bone_names)}") from None
 
     def joint_positions(self, mapping: Mapping[str, float], *, start: np.ndarray | None = None) -> np.ndarray:
-        """Joint positions (d,) [rad] in this rig's order, from positions by joint name.
+        """Joint positions in this rig's order.
 
-        start: (d,) positions of the joints that `mapping` leaves out, default their rest.
-        Raises RigError naming an unknown joint, the few that are called alike, and where all are listed.
+        Args:
+            mapping: positions [rad] by joint name.
+            start: (d,) positions of the joints that are left out. None: at rest.
+
+        Returns:
+            (d,) [rad].
+
+        Raises:
+            RigError: naming an unknown joint, those with similar names, and where all are listed.
         """
         positions = np.array(self.rest if start is None else start, dtype=np.float64)
         if positions.shape != (len(self.dofs),):
@@ -164,10 +177,14 @@ class Rig:
         return positions
 
     def bone_transforms(self, joint_positions: np.ndarray, *, heads: np.ndarray | None = None) -> np.ndarray:
-        """Forward kinematics: the transform of every bone from the canonical to the posed state.
+        """Forward kinematics: the transform of each bone from the canonical to the posed state.
 
-        joint_positions: (..., d) [rad]. heads: (b, 3) [m] joint centres of another body, default this rig's.
-        Returns (..., b, 3, 4) matrices [R | t] that map canonical points to posed points, both in the root frame.
+        Args:
+            joint_positions: (..., d) [rad].
+            heads: (b, 3) [m] joint centres of another body. None: this rig's.
+
+        Returns:
+            (..., b, 3, 4) matrices [R | t] that map canonical points to posed points, both in the root frame.
         """
         q = np.asarray(joint_positions, dtype=np.float64)
         if q.shape[-1:] != (len(self.dofs),):
@@ -177,25 +194,29 @@ class Rig:
 
     @cached_property
     def turns_with(self) -> np.ndarray:
-        """(b,) the bone whose degrees of freedom turn each bone last; bones with the same one always turn alike."""
+        """(b,) for each bone, the bone whose joints turn it last. Bones with the same one always turn alike."""
         return self.inherited({int(bone): int(bone) for bone in self.dof_bones}, 0)
 
     def ancestors(self, bone: int) -> list[int]:
-        """From a bone itself up to the root."""
+        """The bones from this one up to the root, itself first."""
         return ancestors(self.parents, bone)
 
     def inherited(self, own: Mapping[int, int], otherwise: int) -> np.ndarray:
-        """(b,) int, of each bone the value that it has in `own`, or else its nearest ancestor that has one."""
+        """(b,) int: for each bone the value that `own` has for it or for its nearest ancestor that has one, or
+        `otherwise`."""
         found = np.full(self.bone_count, otherwise)
         for bone, parent in enumerate(self.parents):
             found[bone] = own.get(bone, found[parent] if bone else otherwise)
         return found
 
     def translation_change(self, elsewhere: np.ndarray) -> np.ndarray:
-        """How translations of `bone_transforms` change when joint centres move, rotations R (b, 3, 3) being the same.
+        """How the translations of `bone_transforms` change when joint centres move and rotations R (b, 3, 3) stay.
 
-        elsewhere: (b, 3) [m] what heads move by, the root's by nothing. Returns C (b, b, 3): the translation of bone i
-        changes by the sum over bones k of R_k C[i, k].
+        Args:
+            elsewhere: (b, 3) [m] by which heads move; zero for the root's.
+
+        Returns:
+            C (b, b, 3): the translation of bone i changes by the sum over bones k of R_k C[i, k].
         """
         change = np.zeros((self.bone_count, self.bone_count, 3))
         for bone in range(1, self.bone_count):

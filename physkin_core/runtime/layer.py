@@ -23,8 +23,12 @@ __all__ = ["Layer", "WornGarment"]
 
 @dataclass(frozen=True)
 class WornGarment:
-    """A garment and how it is to be worn. tucked: its hem goes under the waistband of the next layer that is not
-    tucked. fit: as of `Outfit`; None: the outfit's.
+    """A garment and how it is to be worn.
+
+    Attributes:
+        model: the garment.
+        tucked: whether its hem goes under the waistband of the next layer that is not tucked itself.
+        fit: as for `Outfit`. None: the outfit's.
 
     Examples:
         >>> tucked = physkin.WornGarment(physkin.load_garment_model("tshirt"), tucked=True)
@@ -39,13 +43,19 @@ class WornGarment:
 class Layer:
     """A garment as an outfit wears it on its body.
 
-    model, tucked, fit: as asked for, the fit being known; a model that another process has bound is there without its
-    networks. bound: what drapes it, whole and by itself, over what lies
-    beneath. rest: (n, 6) float32 vertices and unit normals of the drape at rest, tucked in. at_rest: how it sits on the
-    skin, before it is tucked in and taken in: that puts some of the hem into the skin below the waistband, where nobody
-    sees it. tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
-    hidden: (n,) bool, what is covered in all everyday poses. visible: (v,) int32, the vertices that are given; given:
-    the bound garment of these. moved: whether vertices are moved after skinning, to keep the order of layers or a tuck.
+    Attributes:
+        model: the garment. If another process has bound it, it comes without its networks.
+        tucked: whether its hem is tucked in.
+        fit: from 0 for one size to 1 for made to measure.
+        bound: the whole garment, bound to the body and what lies beneath.
+        rest: (n, 6) float32, vertices [m] and unit normals of the drape at rest, tucked in.
+        at_rest: how the garment sits on the skin before it is tucked in. (A tucked hem goes into the skin below the
+            waistband, where nobody sees it.)
+        tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
+        hidden: (n,) bool, vertices that are covered in all everyday poses.
+        visible: (v,) int32, the vertices that clouds have.
+        given: these vertices, bound.
+        moved: whether vertices are moved after skinning, to keep layers in order or a hem tucked in.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -68,24 +78,24 @@ class Layer:
 
     @property
     def name(self) -> str:
-        """The model's."""
+        """Name of the garment model."""
         return self.model.name
 
     @property
     def faces(self) -> np.ndarray:
-        """(f, 3) int32 triangles between the vertices that are given; (0, 3) where these are points without any."""
+        """(f, 3) int32 triangles between the vertices that clouds have; (0, 3) for points without faces."""
         return self.given.faces
 
     @property
     def face_given(self) -> np.ndarray:
-        """(f,) bool, those of the bound garment's faces that are `faces`, in their order."""
+        """(f,) bool, which faces of the bound garment are in `faces`, in the same order."""
         if len(self.faces) == len(self.bound.faces):
             return np.ones(len(self.faces), dtype=bool)
         return ~self.hidden[self.bound.faces].all(axis=1)
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices v that are given."""
+        """Number of vertices v that clouds have."""
         return len(self.given.vertices)
 
     @cached_property
@@ -96,7 +106,7 @@ class Layer:
 
     @property
     def given_garment(self) -> Garment:
-        """What of `rest_garment` is given."""
+        """The part of `rest_garment` that clouds have."""
         every = len(self.faces) == len(self.bound.faces)
         return self.rest_garment if every else self.rest_garment.submesh(self.face_given)
 
@@ -108,6 +118,12 @@ class Layer:
         return path_lengths(vertices, faces, hem[self.tucked_depth[hem] == 0])
 
     def drape(self, poses: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-        """The whole garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)): of each (n, 6)
-        float32."""
+        """The whole garment by itself, in several poses.
+
+        Args:
+            poses: joint positions (d,) [rad] and direction of gravity (3,) of each.
+
+        Returns:
+            (n, 6) float32 for each pose: x, y, z [m] and unit normals.
+        """
         return drape_poses(self.bound, poses)

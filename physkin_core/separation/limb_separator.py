@@ -61,13 +61,21 @@ def fit_limbs(rig: Rig, avatar: Avatar) -> BoundLimbs:
 
 
 class LimbSeparator:
-    """Separates the limbs of one body, a pose at a time. Not for use by two threads at once.
+    """Moves arms and legs of one body out of its trunk and each other, a pose at a time. Not for two threads at once.
 
-    rig: whose joint positions come in; avatar: a body bound to it, which `fit_limbs` looks at.
-    warnings: limbs that are left out, and why. A pose that is free is given back as it is; the canonical pose is, too:
-    what touches there may. Positions stay within the rig's limits, or, where they were given beyond, do not go farther.
-    The result depends on the pose alone, continuously, so that motion that is smooth stays so.
-    Raises ValueError for a body of another rig, a rig or body in which no arm or leg is found.
+    A pose without contact comes back unchanged, and so does the canonical pose: what touches there may touch. Positions
+    stay within the rig's limits or, if they were beyond, go no farther. The result depends on the pose alone, and
+    continuously: smooth motion stays smooth.
+
+    Args:
+        rig: the rig of the joint positions.
+        avatar: a body that is bound to it.
+
+    Attributes:
+        warnings: limbs that are left out, and why.
+
+    Raises:
+        ValueError: for a body of another rig, and a rig or body in which no arm or leg is found.
 
     Examples:
         >>> rig = physkin.load_garment_model("tshirt").rig
@@ -80,7 +88,7 @@ class LimbSeparator:
 
     @classmethod
     def from_bound(cls, limbs: BoundLimbs) -> LimbSeparator:
-        """The separator of limbs that were fitted already, maybe by another process."""
+        """The separator of limbs that have been fitted already, perhaps by another process."""
         separator = cls.__new__(cls)
         separator._bind(limbs)
         return separator
@@ -90,13 +98,18 @@ class LimbSeparator:
         self._separator = native.LimbSeparator(self.shape, *astuple(SeparationSettings()))
 
     def separate(self, joint_positions: np.ndarray, *, out: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-        """Positions moved as little as needed, and by how much.
+        """Move a pose by as little as needed.
 
-        joint_positions: (d,) [rad], in the order of `joint_names`. out: (d,) float32, C-contiguous, which may be
-        `joint_positions` itself; default a new array. Returns `out`, and the largest change of a position [rad], 0
-        where nothing was changed.
-        Raises ValueError on another shape, and on values that are not finite or beyond a million; `out` is then as it
-        was. Raises TypeError for an `out` of another kind.
+        Args:
+            joint_positions: (d,) [rad], in the order of `joint_names`.
+            out: (d,) float32, C-contiguous; may be `joint_positions` itself. None: a new array.
+
+        Returns:
+            `out`, and the largest change of a position [rad], 0 if nothing was changed.
+
+        Raises:
+            ValueError: for another shape, and values that are not finite or beyond a million; `out` is then unchanged.
+            TypeError: for an `out` of another kind.
         """
         positions = np.ascontiguousarray(joint_positions, dtype=np.float32)
         if positions.shape != (len(self.joint_names),):
