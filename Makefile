@@ -62,6 +62,7 @@ wasm: $(WEB)/made $(VENV)/installed-view
 	$(VENV)/bin/python native/web/install_page.py $(WEB)/page
 
 $(WEB)/made: $(WEB_FROM)
+	mkdir -p build
 	emcmake cmake -S native -B build/wasm -DPHYSKIN_PYTHON_MODULE=OFF > build/wasm.log
 	cmake --build build/wasm --target physkin_wasm >> build/wasm.log
 	mkdir -p $(WEB)/page/three/addons/loaders $(WEB)/page/three/addons/controls $(WEB)/page/three/addons/utils

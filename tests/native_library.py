@@ -62,7 +62,9 @@ def c_library():
     loaded = ctypes.CDLL(str(INSTALLED / "libphyskin_c.so"))
     for name in ("physkin_last_error", "physkin_joint_name", "physkin_precision", "physkin_instruction_set"):
         getattr(loaded, name).restype = ctypes.c_char_p
-    loaded.physkin_part_name.restype = ctypes.c_char_p
+    loaded.physkin_part_name.restype = loaded.physkin_fabric_name.restype = ctypes.c_char_p
+    loaded.physkin_fabric_name.argtypes = [ctypes.c_void_p, ctypes.c_int32, ctypes.c_int32]
+    loaded.physkin_set_fabric.argtypes = [ctypes.c_void_p, ctypes.c_int32, ctypes.c_char_p]
     loaded.physkin_part_name.argtypes = [ctypes.c_void_p, ctypes.c_int32]
     loaded.physkin_part_range.argtypes = [ctypes.c_void_p, ctypes.c_int32, *[ctypes.c_void_p] * 4]
     loaded.physkin_faces.restype = ctypes.POINTER(ctypes.c_int32)

@@ -75,6 +75,12 @@ PHYSKIN_API const char* physkin_part_name(const physkin_garment* garment, int32_
 PHYSKIN_API physkin_status physkin_part_range(const physkin_garment* garment, int32_t part, int32_t* first_vertex,
                                               int32_t* vertex_count, int32_t* first_face, int32_t* face_count);
 
+/* Name of a fabric that a part can be made of; null for an index out of range. The first is what the file was made in. */
+PHYSKIN_API const char* physkin_fabric_name(const physkin_garment* garment, int32_t part, int32_t fabric);
+
+/* From the next frame on the part hangs as that fabric does, one of its names; at any time. */
+PHYSKIN_API physkin_status physkin_set_fabric(physkin_garment* garment, int32_t part, const char* name);
+
 /* Name of a joint (a scalar degree of freedom), null for an index out of range. */
 PHYSKIN_API const char* physkin_joint_name(const physkin_garment* garment, int32_t joint);
 PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, int32_t joint, float* lower, float* rest,

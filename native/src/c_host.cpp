@@ -17,6 +17,7 @@ struct physkin_garment {
   struct Part {
     std::string name;
     std::int32_t first_vertex = 0, vertex_count = 0, first_face = 0, face_count = 0;
+    std::vector<std::string> fabrics;
   };
 
   physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
@@ -31,15 +32,18 @@ struct physkin_garment {
     rest.assign(first.dof_rest, first.dof_rest + dofs);
     upper.assign(first.dof_upper, first.dof_upper + dofs);
     axes.assign(first.dof_axis, first.dof_axis + 3 * dofs);
-    for (std::size_t k = 0; k < file.garments.size(); ++k) add_part(file.garment_names[k], file.garments[k]);
+    for (std::size_t k = 0; k < file.garments.size(); ++k)
+      add_part(file.garment_names[k], file.garments[k], file.fabric_names[k]);
     for (const physkin::BoundOrder& order : file.orders) {
       evaluator.keep_order({order.steady, order.yielding}, order.data);
     }
   }
 
-  void add_part(const std::string& name, const physkin::BoundGarment& garment) {
+  void add_part(const std::string& name, const physkin::BoundGarment& garment,
+                const std::vector<std::string>& fabrics) {
     input.set_network(int(parts.size()), garment.sways_by_network());
-    parts.push_back({name, vertex_count, garment.vertex_count, std::int32_t(faces.size() / 3), garment.face_count});
+    parts.push_back(
+        {name, vertex_count, garment.vertex_count, std::int32_t(faces.size() / 3), garment.face_count, fabrics});
     for (std::size_t k = 0; k < 3 * std::size_t(garment.face_count); ++k) {
       faces.push_back(vertex_count + garment.faces[k]);
     }
@@ -64,6 +68,16 @@ namespace {
 
 physkin_status bad_joint(const physkin_garment* garment, int32_t joint) {
   return fail(PHYSKIN_BAD_ARGUMENT, "joint is %d; must be from 0 to %d", int(joint), garment->evaluator.dofs() - 1);
+}
+
+// Null for a part that is not there.
+const physkin_garment::Part* part_of(const physkin_garment* garment, int32_t part) {
+  const bool inside = part >= 0 && part < physkin_part_count(garment);
+  return inside ? &garment->parts[std::size_t(part)] : nullptr;
+}
+
+physkin_status bad_part(const physkin_garment* garment, int32_t part) {
+  return fail(PHYSKIN_BAD_ARGUMENT, "part is %d; must be from 0 to %d", int(part), physkin_part_count(garment) - 1);
 }
 
 physkin_status open(const unsigned char* data, std::size_t size, const physkin_options* given,
@@ -155,8 +169,29 @@ const int32_t* physkin_faces(const physkin_garment* garment) { return garment->f
 int32_t physkin_part_count(const physkin_garment* garment) { return int32_t(garment->parts.size()); }
 
 const char* physkin_part_name(const physkin_garment* garment, int32_t part) {
-  const bool inside = part >= 0 && part < physkin_part_count(garment);
-  return inside ? garment->parts[std::size_t(part)].name.c_str() : nullptr;
+  const physkin_garment::Part* found = part_of(garment, part);
+  return found == nullptr ? nullptr : found->name.c_str();
+}
+
+const char* physkin_fabric_name(const physkin_garment* garment, int32_t part, int32_t fabric) {
+  const physkin_garment::Part* found = part_of(garment, part);
+  const bool inside = found != nullptr && fabric >= 0 && fabric < int32_t(found->fabrics.size());
+  return inside ? found->fabrics[std::size_t(fabric)].c_str() : nullptr;
+}
+
+physkin_status physkin_set_fabric(physkin_garment* garment, int32_t part, const char* name) {
+  if (garment == nullptr || name == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment or name is null");
+  const physkin_garment::Part* found = part_of(garment, part);
+  if (found == nullptr) return bad_part(garment, part);
+  const auto fabric = std::find(found->fabrics.begin(), found->fabrics.end(), name);
+  if (fabric == found->fabrics.end()) {
+    std::string allowed;
+    for (const std::string& each : found->fabrics) allowed += (allowed.empty() ? "" : ", ") + each;
+    return fail(PHYSKIN_BAD_ARGUMENT, "the file holds no fabric %.60s of %.60s; it holds %.200s", name,
+                found->name.c_str(), allowed.c_str());
+  }
+  garment->evaluator.set_fabric(part, int(fabric - found->fabrics.begin()) - 1);
+  return PHYSKIN_OK;
 }
 
 physkin_status physkin_part_range(const physkin_garment* garment, int32_t part, int32_t* first_vertex,
@@ -165,14 +200,12 @@ physkin_status physkin_part_range(const physkin_garment* garment, int32_t part, 
       face_count == nullptr) {
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment, first_vertex, vertex_count, first_face or face_count is null");
   }
-  if (part < 0 || part >= physkin_part_count(garment)) {
-    return fail(PHYSKIN_BAD_ARGUMENT, "part is %d; must be from 0 to %d", int(part), physkin_part_count(garment) - 1);
-  }
-  const physkin_garment::Part& found = garment->parts[std::size_t(part)];
-  *first_vertex = found.first_vertex;
-  *vertex_count = found.vertex_count;
-  *first_face = found.first_face;
-  *face_count = found.face_count;
+  const physkin_garment::Part* found = part_of(garment, part);
+  if (found == nullptr) return bad_part(garment, part);
+  *first_vertex = found->first_vertex;
+  *vertex_count = found->vertex_count;
+  *first_face = found->first_face;
+  *face_count = found->face_count;
   return PHYSKIN_OK;
 }
 

@@ -44,6 +44,14 @@ export class NativeModule {
     return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
   }
 
+  /** A copy in the module's memory, to be freed. */
+  write(text) {
+    const bytes = new TextEncoder().encode(`${text}\0`);
+    const place = this.room(bytes.length);
+    this.view(Uint8Array, place, bytes.length).set(bytes);
+    return place;
+  }
+
   check(status) {
     if (status !== 0) throw new PhyskinError(this.text(this.native.physkin_last_error()));
   }

@@ -18,6 +18,10 @@ export interface Joint {
  * writes them anew. */
 export interface Garment {
   readonly name: string;
+  /** What it can be made of; the first is what the file was made in. */
+  readonly fabrics: readonly string[];
+  /** One of `fabrics`: how cloth hangs from the next `step` on. */
+  fabric: string;
   /** Three vertices a triangle, counter-clockwise seen from outside. */
   readonly faces: Uint32Array;
   /** x y z a vertex. */

@@ -153,12 +153,40 @@ class Outfit {
     return { name, lower, rest, upper, axis: [y, z, x] };
   }
 
+  #readFabrics(part) {
+    const names = [];
+    for (let place; (place = this.#native.physkin_fabric_name(this.#handle, part, names.length)) !== 0; ) {
+      names.push(this.#module.text(place));
+    }
+    return names;
+  }
+
+  #setFabric(part, name) {
+    const place = this.#module.write(name);
+    try {
+      this.#module.check(this.#native.physkin_set_fabric(this.#handle, part, place));
+    } finally {
+      this.#native.free(place);
+    }
+  }
+
   #readGarment(part) {
     const [native, at] = [this.#native, this.#input];
     this.#module.check(native.physkin_part_range(this.#handle, part, at, at + 4, at + 8, at + 12));
     const [first, count, firstFace, faceCount] = this.#module.view(Int32Array, at, 4);
     const all = native.physkin_faces(this.#handle) + 12 * firstFace;
+    const fabrics = this.#readFabrics(part);
+    const setFabric = (name) => this.#setFabric(part, name);
+    let fabric = fabrics[0];
     return {
+      fabrics,
+      get fabric() {
+        return fabric;
+      },
+      set fabric(name) {
+        setFabric(name);
+        fabric = name;
+      },
       name: this.#module.text(native.physkin_part_name(this.#handle, part)),
       faces: Uint32Array.from(this.#module.view(Int32Array, all, 3 * faceCount), (vertex) => vertex - first),
       positions: new Float32Array(3 * count),

@@ -203,4 +203,5 @@ def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
         hyper_modulator=with_bending(model.hyper_modulator, stiffer),
         pose_modulator=((weight, bias), *model.pose_modulator[1:]),
         material=replace(material, youngs_modulus=fabric.stretch, bending=fabric.bend, density=fabric.density),
+        as_trained=model,
     )

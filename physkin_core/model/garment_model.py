@@ -127,7 +127,8 @@ class GarmentModel(SkinnedGarment):
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
     network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
     on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
-    softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`.
+    softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`. as_trained:
+    of a model that `with_fabric` has given, the one that it was given; None of any other. No file holds it.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -142,6 +143,7 @@ class GarmentModel(SkinnedGarment):
     material: Material = field(default_factory=Material)
     training: Mapping[str, Any] = field(default_factory=dict)
     scores: Mapping[str, Any] = field(default_factory=dict)
+    as_trained: GarmentModel | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

@@ -17,6 +17,7 @@ __all__ = [
     "float32_layers",
     "fold_modulation",
     "layer_inputs",
+    "modulation_over",
     "modulation_size",
     "silu",
     "split_modulation",
@@ -73,3 +74,13 @@ def fold_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> tuple[La
         for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True)
     ]
     return (*hidden, layers[-1])
+
+
+def modulation_over(layers: Sequence[Layer], folded: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The modulation (size,) of `layers` into which `folded` (size,) is folded that makes them those under `other`."""
+    parts = []
+    pairs = (split_modulation(layers, each.astype(np.float64)) for each in (folded, other))
+    for (scale, shift), (other_scale, other_shift) in zip(*pairs):
+        ratio = (1 + other_scale) / (1 + scale)
+        parts += [ratio - 1, other_shift - ratio * shift]
+    return np.concatenate([np.empty(0), *parts])

@@ -17,7 +17,7 @@ from physkin_core.model.mlp import Layer, float32_layers
 from physkin_core.model.model_arrays import Array, Linear, described
 from physkin_core.native_module import as_float32
 
-__all__ = ["LARGEST_CODE", "SwayNetwork", "drive_size", "fold_body", "pose_size"]
+__all__ = ["LARGEST_CODE", "SwayNetwork", "drive_size", "fold_body", "pose_size", "shifts_of_body"]
 
 LARGEST_CODE = 4.0
 """Bodies farther out than this, in standard deviations of those of training, are taken as this far."""
@@ -64,17 +64,23 @@ class SwayNetwork:
         return np.clip(code, -LARGEST_CODE, LARGEST_CODE)
 
 
+def shifts_of_body(network: SwayNetwork, modulation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the body of a modulation (M,) adds to `first` (h,) and `read` (r,), before SiLU."""
+    code = network.body_code(modulation)
+    return network.first_code @ code, network.read_code @ code
+
+
 def fold_body(network: SwayNetwork, modulation: np.ndarray) -> dict[str, object]:
     """The fields of `BoundGarment` that a sway network fills, for the body of a modulation (M,).
 
     Its code becomes part of biases; drive and gate, which read the same, become one layer.
     """
-    code = network.body_code(modulation)
+    of_first, of_read = shifts_of_body(network, modulation)
     (drive, drive_bias), (gate, gate_bias) = network.drive, network.gate
     layers = (
-        (network.first[0], network.first[1] + network.first_code @ code),
+        (network.first[0], network.first[1] + of_first),
         (np.concatenate([drive, gate]), np.concatenate([drive_bias, gate_bias])),
-        (network.read[0], network.read[1] + network.read_code @ code),
+        (network.read[0], network.read[1] + of_read),
         network.last,
         network.out,
     )

@@ -27,6 +27,7 @@ from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
 from physkin_core.runtime.layer import Layer, WornGarment
+from physkin_core.runtime.other_fabrics import fabric_of, other_fabrics
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["Outfit"]
@@ -149,10 +150,13 @@ class Outfit:
         return twin
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here to a file for hosts without Python: C (`native/include/physkin.h`) and browsers."""
+        """Write what is bound here to a file for hosts without Python: C (`native/include/physkin.h`) and browsers. They
+        can choose from all fabrics that each garment has learnt."""
+        others = [other_fabrics(layer, self.avatar, self.layers[:k]) for k, layer in enumerate(self.layers)]
         save_bound_outfit(
-            [layer.given for layer in self.layers],
+            [replace(layer.given, **fields) for layer, (_, fields) in zip(self.layers, others)],
             path,
+            fabrics=[[fabric_of(layer.model), *names] for layer, (names, _) in zip(self.layers, others)],
             names=[layer.name for layer in self.layers],
             joint_names=self.joint_names,
             orders=self.orders,

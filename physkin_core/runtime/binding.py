@@ -70,9 +70,7 @@ def bind_garment(
     started = perf_counter()
     worn = put_on_body(model, avatar, fit, beneath)
     log.info("put %s on %s in %.1f s", model.name, avatar.source, perf_counter() - started)
-    started = perf_counter()
-    modulation = encode_body(model, worn.seen, fit=fit)
-    log.info("encoded body %s for %s in %.0f ms", avatar.source, model.name, 1e3 * (perf_counter() - started))
+    trained = model.as_trained or model
     (first_weight, first_bias), *rest = model.node_deformer
     elsewhere = worn.seen.bone_heads.astype(np.float64) - avatar.bone_heads
     deformer_bones, folded_weight = fold_first_layer(
@@ -86,7 +84,6 @@ def bind_garment(
         dof_rest=as_float32(rig.rest),
         dof_lower=as_float32(rig.lower),
         dof_upper=as_float32(rig.upper),
-        pose_layers=float32_layers(fold_modulation(model.pose_modulator, modulation)),
         deformer_bones=deformer_bones,
         deformer_layers=float32_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
@@ -99,12 +96,24 @@ def bind_garment(
         influence_weights=as_float32(model.influence_weights),
         faces=np.ascontiguousarray(worn.garment.faces, dtype=np.int32),
         **_detail(model),
-        **({} if model.sway is None else fold_body(model.sway, modulation)),
+        **_of_body(trained, worn.seen, fit),
         sway_thighs=np.array([] if model.sway is None else thighs(rig), dtype=np.int32),
     )
-    with draping(model, avatar):
+    with draping(model, avatar):  # whatever it is made of, room and guard are those of the cloth as trained
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
-        return replace(bound, **guarded(bound, avatar, rig))
+        bound = replace(bound, **guarded(bound, avatar, rig))
+    return bound if model is trained else replace(bound, **_of_body(model, worn.seen, fit))
+
+
+def _of_body(model: GarmentModel, seen: Avatar, fit: float) -> dict[str, Any]:
+    """The fields of `BoundGarment` that the encoded body is folded into."""
+    started = perf_counter()
+    modulation = encode_body(model, seen, fit=fit)
+    log.info("encoded body %s for %s in %.0f ms", seen.source, model.name, 1e3 * (perf_counter() - started))
+    return {
+        "pose_layers": float32_layers(fold_modulation(model.pose_modulator, modulation)),
+        **({} if model.sway is None else fold_body(model.sway, modulation)),
+    }
 
 
 @contextmanager

@@ -32,9 +32,16 @@ MOST_STEPS = 127
 """As native/src/kernels/packed_layer.cpp rounds."""
 
 
-def save_bound_garment(bound: BoundGarment, path: str | Path, *, name: str, joint_names: Sequence[str]) -> None:
+def save_bound_garment(
+    bound: BoundGarment,
+    path: str | Path,
+    *,
+    name: str,
+    joint_names: Sequence[str],
+    fabrics: Sequence[str] = ("as bound",),
+) -> None:
     """Write a bound garment to `path`. As `save_bound_outfit` of one."""
-    save_bound_outfit([bound], path, names=[name], joint_names=joint_names)
+    save_bound_outfit([bound], path, names=[name], joint_names=joint_names, fabrics=[fabrics])
 
 
 def save_bound_outfit(
@@ -43,22 +50,28 @@ def save_bound_outfit(
     *,
     names: Sequence[str],
     joint_names: Sequence[str],
+    fabrics: Sequence[Sequence[str]],
     orders: Sequence[Any] = (),
     texts: Mapping[str, str] | None = None,
 ) -> None:
     """Write garments bound to one body, from the skin outwards, to `path`, replacing what is there in one step.
 
-    names: of the garments. joint_names: (d,) in the order of the joint positions. orders: `LayerOrder`s, what keeps two
-    of the garments in order. texts: entries of metadata for hosts other than C. Raises ValueError when there is not one
-    name a garment and a degree of freedom.
+    names: of the garments. joint_names: (d,) in the order of the joint positions. fabrics: of each garment, what it is
+    bound in and its other fabrics (1 + F). orders: `LayerOrder`s, what keeps two of the garments in order. texts:
+    entries of metadata for hosts other than C. Raises ValueError when there is not one name a garment, a degree of
+    freedom and a fabric.
     """
     if len(names) != len(bounds):
         raise ValueError(f"{len(names)} names for {len(bounds)} garments")
     if len(joint_names) != len(bounds[0].dof_bone):
         raise ValueError(f"{len(joint_names)} joint names for {len(bounds[0].dof_bone)} degrees of freedom")
     tensors: dict[str, np.ndarray] = {}
+    fabric_names: dict[str, str] = {}
     for index, bound in enumerate(bounds):
         prefix = f"{index}." if index else ""
+        if len(fabrics[index]) != 1 + len(bound.fabric_weights):
+            raise ValueError(f"{len(fabrics[index])} names for {1 + len(bound.fabric_weights)} fabrics")
+        fabric_names[f"{prefix}fabrics"] = json.dumps(list(fabrics[index]))
         for name, array in _arrays(bound):
             tensors |= _stored(prefix + name, array)
     for index, order in enumerate(orders):
@@ -71,6 +84,7 @@ def save_bound_outfit(
         "schema_version": BOUND_SCHEMA_VERSION,
         "garments": json.dumps(list(names)),
         "joint_names": json.dumps(list(joint_names)),
+        **fabric_names,
         **(texts or {}),
     }
     write_tensors(Path(path), metadata, tensors)

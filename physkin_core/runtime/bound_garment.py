@@ -33,6 +33,10 @@ class BoundGarment(SkinningData):
     pose_layers: pose modulator as (network weight (out, in), bias (out,)), the body's modulation folded in; hidden
         layers are followed by SiLU, the last layer is linear and gives the node deformer's modulation
         [scale_0 (h), shift_0 (h), scale_1, shift_1, ...].
+    fabric_modulations, fabric_weights, fabric_sway_shifts: other fabrics that a host can have it made of instead, or
+        none. Scale and shift for every hidden unit of `pose_layers`, over what is folded in (F, M); how many times as
+        heavy (F,); what is added to the first hidden layer of both parts of the sway network (F, S). See
+        `physkin_core.runtime.other_fabrics`.
     deformer_bones: (u,) int32, the bones whose transforms feed the node deformer.
     deformer_layers: node deformer; the first network weight is (h, 12 u) over the row-major (3, 4) bone transforms,
         hidden layer k is SiLU((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear and
@@ -67,6 +71,9 @@ class BoundGarment(SkinningData):
     deformer_layers: tuple[Layer, ...]
     node_bone: np.ndarray
     node_positions: np.ndarray
+    fabric_modulations: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    fabric_weights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    fabric_sway_shifts: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     detail_layers: tuple[Layer, ...] = ()
     node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))

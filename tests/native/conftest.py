@@ -26,6 +26,7 @@ def random_bound_garment(
     used_bones=None,
     learnt_sway=False,
     detail_nodes=0,
+    fabrics=0,
 ):
     """A rig, networks and skinning weights with nothing regular about them, of about a person's size."""
 
@@ -51,6 +52,13 @@ def random_bound_garment(
             "detail_offsets": detail.offsets,
             "detail_nodes": detail.nodes,
             "detail_weights": detail.weights,
+        }
+    if fabrics:
+        shifts = sum(len(parts["sway_layers"][k][1]) for k in (0, 2)) if learnt_sway else 0
+        parts |= {
+            "fabric_modulations": rng.uniform(-0.3, 0.3, size=(fabrics, 2 * sum(pose_widths))).astype(np.float32),
+            "fabric_weights": rng.uniform(0.5, 2, size=fabrics).astype(np.float32),
+            "fabric_sway_shifts": rng.normal(size=(fabrics, shifts)).astype(np.float32),
         }
     bound = BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
@@ -83,9 +91,10 @@ def small_bound_file(tmp_path_factory):
     """A bound garment file of a few kilobytes with everything that one can hold."""
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
-    garment = replace(random_bound_garment(rng, learnt_sway=True, detail_nodes=9), faces=faces)
+    garment = replace(random_bound_garment(rng, learnt_sway=True, detail_nodes=9, fabrics=2), faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    save_bound_garment(garment, path, name="small", joint_names=[f"joint {k}" for k in range(7)])
+    names = {"joint_names": [f"joint {k}" for k in range(7)], "fabrics": ["jersey", "silk", "felt"]}
+    save_bound_garment(garment, path, name="small", **names)
     return path
 
 

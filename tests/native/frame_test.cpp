@@ -92,6 +92,9 @@ long run_frames(const physkin::BoundGarment& g, const physkin::Kernels& kernels,
 #if !defined(__SANITIZE_ADDRESS__)  // whose checks stand between products and sums that are fused elsewhere
     if (one.values != first.values || one.values != second.values) std::abort();
 #endif
+    for (physkin::Evaluator* each : {&alone, &two}) {
+      for (int k = 0; k < each->count(); ++k) each->set_fabric(k, frame - 1);
+    }
     if (two.step(q.data(), input.rows(), positions) || alone.step(q.data(), input.rows(), &one.positions)) std::abort();
   }
   return allocations - before;
@@ -112,6 +115,8 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   const auto weights = uniform(std::size_t(vertices) * influences, 0, 1);
   const Layers pose({dofs + 3, width, 4 * width}), deformer({12 * bones, width, width, 12 * nodes});
   const Layers driver({2 * dofs + 15, width, 3 * width}), reader({2 * width + 3 * dofs + 18, width, width, 12 * nodes});
+  const auto modulation = uniform(2 * width, -0.2f, 0.2f), heavier = uniform(1, 0.5f, 2),
+             shifts = uniform(2 * width, -1, 1);
   const auto rates = uniform(width, 1, 9), turns = uniform(width, 0, 9);
   std::vector<std::int32_t> joints(dofs);
   for (int k = 0; k < dofs; ++k) joints[k] = k;
@@ -132,6 +137,12 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.dof_lower = lower.data();
   g.dof_upper = upper.data();
   g.pose_layers = pose.layers;
+  g.fabrics = 1;
+  g.fabric_modulation = int(modulation.size());
+  g.fabric_sway = int(shifts.size());
+  g.fabric_modulations = modulation.data();
+  g.fabric_weights = heavier.data();
+  g.fabric_sway_shifts = shifts.data();
   g.deformer_bones = used.data();
   g.deformer_layers = deformer.layers;
   g.node_bone = node_bone.data();

@@ -86,6 +86,10 @@ def changed(array, index, value):
         (lambda g: dict(node_bone=g.node_bone.astype(np.int64)), "node_bone must be a C-contiguous int32"),
         (lambda g: dict(influence_weights=g.influence_weights[:, :2].copy()), r"of shape \(50, 3\)"),
         (lambda g: dict(vertices=g.vertices[:0], normals=g.normals[:0]), "influence_nodes"),
+        (lambda g: dict(fabric_weights=changed(g.fabric_weights, 1, 0)), r"fabric_weights\[1\] is 0.*above 0"),
+        (lambda g: dict(fabric_weights=g.fabric_weights[:1]), "fabric_weights"),
+        (lambda g: dict(fabric_modulations=g.fabric_modulations[:, 1:].copy()), "63 values each; expected a scale and"),
+        (lambda g: dict(fabric_sway_shifts=np.zeros((2, 1), dtype=np.float32)), "1 values each; expected 0"),
         (lambda g: dict(pose_layers=()), "pose_layers is empty"),
         (lambda g: dict(pose_layers=g.pose_layers[1:]), r"pose_layers\[0\] has 16 inputs; expected 10"),
         (lambda g: dict(pose_layers=g.pose_layers[:-1]), "pose_layers give 16 values; expected .* 24 hidden"),
@@ -104,7 +108,7 @@ def changed(array, index, value):
     ],
 )
 def test_malformed_garment_raises_value_error(change, message, make_garment):
-    garment = make_garment(np.random.default_rng(14), detail_nodes=9)
+    garment = make_garment(np.random.default_rng(14), detail_nodes=9, fabrics=2)
     NativeFrame([garment])
     with pytest.raises(ValueError, match=message):
         NativeFrame([replace(garment, **change(garment))])

@@ -1,5 +1,5 @@
 // What the module in JavaScript makes of a case: node run.mjs PACKAGE CASE, both answers and errors as JSON.
-//   CASE: { file, frames: [[joints, frame, wind, if it changes], ...], poses: [{ bone: [x, y, z, w], ... }, ...], vrm }
+//   CASE: { file, frames: [[joints, frame, wind, fabric of all garments, if they change], ...], poses: [{ bone: [x, y, z, w], ... }, ...], vrm }
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
@@ -20,9 +20,10 @@ const told = (work) => {
 async function answer() {
   const outfit = await loadOutfit(readFileSync(given.file), { wasm: readFileSync(`${folder}/physkin.wasm`) });
   const arrays = outfit.garments.map(({ positions }) => positions);
-  const frames = (given.frames ?? []).map(([joints, frame, wind]) =>
+  const frames = (given.frames ?? []).map(([joints, frame, wind, fabric]) =>
     told(() => {
-      if (wind !== undefined) outfit.wind = wind;
+      if (wind !== undefined && wind !== null) outfit.wind = wind;
+      if (fabric !== undefined) outfit.garments.forEach((garment) => (garment.fabric = fabric));
       outfit.step(joints, frame);
       return {
         clouds: outfit.garments.map(({ positions, normals }) => [base64(positions), base64(normals)]),
@@ -42,7 +43,7 @@ async function answer() {
   );
   return {
     joints: outfit.joints,
-    garments: outfit.garments.map(({ name, faces }) => ({ name, faces: Array.from(faces) })),
+    garments: outfit.garments.map(({ name, faces, fabric, fabrics }) => ({ name, faces: Array.from(faces), fabric, fabrics })),
     kept: outfit.garments.every(({ positions }, k) => positions === arrays[k] && positions.length > 0),
     frames,
     poses,

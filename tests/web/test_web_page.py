@@ -90,6 +90,16 @@ def test_the_page_shows_a_dressed_avatar(browser):
 
 
 @made
+def test_a_fabric_is_chosen(browser):
+    """Of the shirt; the trousers keep theirs."""
+    choice = "document.querySelectorAll('#fabrics select')[1]"
+    browser.value(f"{choice}.value = 'leather'; {choice}.dispatchEvent(new Event('change'))")
+    assert browser.value("window.shown.outfit.garments.map(({fabric}) => fabric)") == ["jersey", "leather"]
+    browser.value(f"{choice}.value = 'jersey'; {choice}.dispatchEvent(new Event('change'))")
+    assert browser.errors == []
+
+
+@made
 def test_sliders_and_pause(browser):
     """The motion stands still when paused; a slider bends an arm, and all go back to rest."""
     browser.click("document.getElementById('play')")

@@ -26,6 +26,9 @@ class Evaluator {
   // layers that are not there, and as LayerOrder does.
   void keep_order(LayerPair layers, const LayerOrderData& order);
 
+  // As of GarmentEvaluator.
+  void set_fabric(int garment, int fabric) noexcept { garments_[std::size_t(garment)]->set_fabric(fabric); }
+
   // One frame. joint_positions (dofs) in radians; inputs and rows one a garment. Bone transforms and pose vector are
   // computed once. If an input or what the networks make of it is not finite, says so and leaves the rows as they were:
   // `rejected` is then the garment's index.

@@ -19,6 +19,13 @@ bool jumps_to(const float* values, int count, float* last) {
 // vector, a fiftieth, is the next: of the skirt it makes the largest errors.
 Precision of_first_layers(Precision precision) { return precision == Precision::int8 ? Precision::bf16 : precision; }
 
+// (count, width) in rows of so much room.
+const float* padded_rows(const float* values, int count, int width, std::size_t room, Arena& arena) {
+  auto* rows = arena.take<float>(std::size_t(count) * room);
+  for (int k = 0; k < count; ++k) std::copy_n(values + std::ptrdiff_t(k) * width, width, rows + std::size_t(k) * room);
+  return rows;
+}
+
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
   return garment;
@@ -29,6 +36,11 @@ const BoundGarment& validated(const BoundGarment& garment) {
 GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options)
     : rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
+      fabric_modulations_(
+          padded_rows(g.fabric_modulations, g.fabrics, g.fabric_modulation, pose_modulator_.modulation_room(), arena_)),
+      fabric_weights_(arena_.copy(g.fabric_weights, g.fabrics)),
+      fabric_sway_shifts_(arena_.copy(g.fabric_sway_shifts, std::size_t(g.fabrics) * std::size_t(g.fabric_sway))),
+      fabric_sway_(g.fabric_sway),
       node_deformer_(g.deformer_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
       detail_features_(g.has_detail() ? std::make_optional<Mlp>(g.detail_layers, options.precision, options.precision,
                                                                 kernels, arena_, Activation::silu)
@@ -85,6 +97,7 @@ void GarmentEvaluator::pose(const float* joint_positions, const GarmentInput& in
   gravity_jumps_ = jumps_to(input.gravity, 3, last_gravity_);
   rig_.compute_bone_transforms(joint_positions, bone_transforms_);
   rig_.compute_pose_vector(joint_positions, input.gravity, pose_);
+  weigh();
   gather_deformer_input();
 }
 
@@ -95,7 +108,19 @@ void GarmentEvaluator::pose_as(const GarmentEvaluator& other, const GarmentInput
   joints_jump_ = other.joints_jump_;
   gravity_jumps_ = jumps_to(input.gravity, 3, last_gravity_);
   std::copy_n(input.gravity, 3, pose_ + rig_.dofs());
+  weigh();
   gather_deformer_input();
+}
+
+void GarmentEvaluator::set_fabric(int fabric) noexcept {
+  fabric_ = fabric;
+  if (learnt_sway_)
+    learnt_sway_->shift(fabric < 0 ? nullptr : fabric_sway_shifts_ + std::ptrdiff_t(fabric) * fabric_sway_);
+}
+
+void GarmentEvaluator::weigh() noexcept {
+  if (fabric_ < 0) return;
+  for (int k = 0; k < 3; ++k) pose_[rig_.dofs() + k] *= fabric_weights_[fabric_];
 }
 
 void GarmentEvaluator::gather_deformer_input() noexcept {
@@ -105,7 +130,9 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 }
 
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
-  corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, nullptr));
+  const float* modulation =
+      fabric_ < 0 ? nullptr : fabric_modulations_ + std::size_t(fabric_) * pose_modulator_.modulation_room();
+  corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, modulation));
   if (detail_features_) given_features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
   if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, bone_transforms_, input);
 }

@@ -35,6 +35,9 @@ class GarmentEvaluator {
   GarmentEvaluator(const GarmentEvaluator&) = delete;  // its members point into its own arena
   GarmentEvaluator& operator=(const GarmentEvaluator&) = delete;
 
+  // From the next frame on it is made of another of its fabrics, or, -1, of what it is bound as.
+  void set_fabric(int fabric) noexcept;
+
   // In order, each from what the last one left. joint_positions (dofs) in radians.
   void pose(const float* joint_positions, const GarmentInput& input) noexcept;
   // Takes over what `pose` left in another garment on the same body, under a gravity of its own.
@@ -72,11 +75,14 @@ class GarmentEvaluator {
   void forget_pace() noexcept;
   void forget() noexcept;  // all that was before
   void gather_deformer_input() noexcept;
+  void weigh() noexcept;  // how gravity pulls in the pose vector
 
   // Members are built in this order, so that a frame walks the arena from front to back.
   Arena arena_;
   Rig rig_;
   Mlp pose_modulator_;
+  const float *fabric_modulations_, *fabric_weights_, *fabric_sway_shifts_;
+  int fabric_sway_, fabric_ = -1;
   Mlp node_deformer_;
   std::optional<Mlp> detail_features_;
   std::optional<LearntSway> learnt_sway_;

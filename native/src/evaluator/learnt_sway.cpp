@@ -45,6 +45,10 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
       oscillators_(oscillators_of(g, arena)),
       driver_(part(g.sway_layers, 0, 2), of_inputs, of_inputs, kernels, arena),
       reader_(part(g.sway_layers, 2, 3), of_inputs, others, kernels, arena),
+      driver_width_(g.sway_layers[0].outputs),
+      reader_width_(g.sway_layers[2].outputs),
+      driver_modulation_(arena.take<float>(driver_.modulation_room())),
+      reader_modulation_(arena.take<float>(reader_.modulation_room())),
       drive_(arena.take<float>(g.sway_layers[0].inputs)),
       now_(arena.take<float>(joint_count_ + 3)),
       before_(arena.take<float>(joint_count_ + 3)),
@@ -55,6 +59,13 @@ LearntSway::LearntSway(const BoundGarment& g, Precision of_inputs, Precision oth
     middle_[k] = 0.5f * (lower + upper);
     half_[k] = 0.5f * (upper - lower);
   }
+}
+
+void LearntSway::shift(const float* shifts) noexcept {
+  shifted_ = shifts != nullptr;
+  if (!shifted_) return;
+  std::copy_n(shifts, driver_width_, driver_modulation_ + driver_width_);
+  std::copy_n(shifts + driver_width_, reader_width_, reader_modulation_ + reader_width_);
 }
 
 const float* LearntSway::added(const float* corrections, const float* positions, const float* bone_transforms,
@@ -74,7 +85,7 @@ const float* LearntSway::added(const float* corrections, const float* positions,
   for (int k = 0; k < joint_count_; ++k) pose[k] = std::clamp(now_[k], -kBeyond, kBeyond);
   std::copy_n(input.gravity, 3, pose + joint_count_);
   std::swap(now_, before_);
-  const float* offsets = reader_.run(read_, nullptr);
+  const float* offsets = reader_.run(read_, shifted_ ? reader_modulation_ : nullptr);
   const float share = input.sway * hanging(bone_transforms);
   for (int k = 0; k < outputs_; ++k) result_[k] = corrections[k] + share * offsets[k];
   return result_;
@@ -109,7 +120,8 @@ void LearntSway::move(const GarmentInput& input) noexcept {
     w[3 + k] = (turning[a] * v[b] - turning[b] * v[a]) / 4;
   }
   std::copy_n(drive_, 2 * count + 15, read_ + 2 * oscillators_.count + count + 3);
-  kernels_.oscillate(oscillators_, driver_.run(drive_, nullptr), begins_ ? -1 : std::min(input.elapsed, kLongestStep));
+  const float* driven = driver_.run(drive_, shifted_ ? driver_modulation_ : nullptr);
+  kernels_.oscillate(oscillators_, driven, begins_ ? -1 : std::min(input.elapsed, kLongestStep));
   begins_ = false;
   std::copy_n(oscillators_.real, oscillators_.count, read_);
   std::copy_n(oscillators_.imaginary, oscillators_.count, read_ + oscillators_.count);

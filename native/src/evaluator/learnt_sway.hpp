@@ -31,6 +31,9 @@ class LearntSway {
   // Of a garment that has one. Layers that read joint positions and rates are packed in a precision of their own.
   LearntSway(const BoundGarment& garment, Precision of_inputs, Precision others, const Kernels& kernels, Arena& arena);
 
+  // Shifts of the first hidden activations of both parts, as of BoundGarment::fabric_sway_shifts; null for none.
+  void shift(const float* shifts) noexcept;
+
   // The next frame is the first one.
   void forget() noexcept { begins_ = true; }
 
@@ -50,6 +53,9 @@ class LearntSway {
   float *middle_, *half_;  // (joints) of their limits
   Oscillators oscillators_;
   Mlp driver_, reader_;
+  int driver_width_, reader_width_;  // of their first hidden layers
+  float *driver_modulation_, *reader_modulation_;
+  bool shifted_ = false;
   float* drive_;          // (2 joints + 15)
   float *now_, *before_;  // (joints + 3) scaled joints and gravity
   float* read_;           // what the reader reads: states, real parts and then imaginary ones, pose, drive

@@ -18,6 +18,12 @@ Mlp::Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision oth
   quantised_ = arena.take<std::int16_t>(widest + kGroup);
 }
 
+std::size_t Mlp::modulation_room() const {
+  std::size_t room = kGroup;
+  for (std::size_t k = 0; k + 1 < layers_.size(); ++k) room += 2 * std::size_t(layers_[k].outputs);
+  return room;
+}
+
 const float* Mlp::run(const float* input, const float* modulation) {
   for (std::size_t k = 0; k < layers_.size(); ++k) {
     const PackedLayer& layer = layers_[k];

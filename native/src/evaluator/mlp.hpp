@@ -24,6 +24,8 @@ class Mlp {
   const float* last_hidden() const { return buffers_[layers_.size() % 2]; }
 
   int outputs() const { return layers_.back().outputs; }
+  // What a modulation has room for, including what is read beyond its end.
+  std::size_t modulation_room() const;
 
  private:
   const DenseKernel (&dense_)[kPrecisionCount][2];

@@ -108,8 +108,14 @@ BoundFile::BoundFile(const unsigned char* data, std::size_t size) {
                     std::to_string(kMostGarments));
   }
   for (std::size_t k = 0; k < garment_names.size(); ++k) {
-    FileFields fields(file, k == 0 ? "" : std::to_string(k) + ".", arena);
+    const std::string prefix = k == 0 ? "" : std::to_string(k) + ".";
+    FileFields fields(file, prefix, arena);
     garments.push_back(read_bound_garment(fields));
+    fabric_names.push_back(parse_string_list(file.metadata(prefix + "fabrics")));
+    if (fabric_names.back().size() != 1 + std::size_t(garments.back().fabrics)) {
+      throw FileError("the file names " + std::to_string(fabric_names.back().size()) +
+                      " fabrics of a garment; expected " + std::to_string(1 + garments.back().fabrics));
+    }
   }
   for (std::string at = "order.0."; file.contains(at + "layers"); at = "order." + std::to_string(orders.size()) + ".") {
     orders.push_back(read_order(file, at, int(garments.size()), arena));

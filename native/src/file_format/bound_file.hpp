@@ -25,8 +25,9 @@ struct BoundFile {
   BoundFile& operator=(const BoundFile&) = delete;
 
   Arena arena;
-  std::vector<BoundGarment> garments;      // from the skin outwards
-  std::vector<std::string> garment_names;  // of each
+  std::vector<BoundGarment> garments;                  // from the skin outwards
+  std::vector<std::string> garment_names;              // of each
+  std::vector<std::vector<std::string>> fabric_names;  // of each: what it is bound as, and the others
   std::vector<BoundOrder> orders;
   std::vector<std::string> joint_names;  // (dofs,)
 };

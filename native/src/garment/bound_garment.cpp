@@ -59,6 +59,9 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("dof_lower", g.dof_lower, {&g.dofs});
   visit.floats("dof_upper", g.dof_upper, {&g.dofs});
   visit.layers("pose_layers", g.pose_layers);
+  visit.floats("fabric_modulations", g.fabric_modulations, {&g.fabrics, &g.fabric_modulation});
+  visit.floats("fabric_weights", g.fabric_weights, {&g.fabrics});
+  visit.floats("fabric_sway_shifts", g.fabric_sway_shifts, {&g.fabrics, &g.fabric_sway});
   visit.indices("deformer_bones", g.deformer_bones, {&g.deformer_bone_count}, 0, g.bones);
   visit.layers("deformer_layers", g.deformer_layers);
   visit.layers("detail_layers", g.detail_layers);
@@ -133,6 +136,9 @@ struct Describer {
                                                         {&g.deformer_bone_count, "deformer bones"},
                                                         {&g.twist_size, "twisting nodes"},
                                                         {&g.face_count, "faces"},
+                                                        {&g.fabrics, "fabrics"},
+                                                        {&g.fabric_modulation, "modulation"},
+                                                        {&g.fabric_sway, "sway shifts"},
                                                         {&g.sway_joint_count, "sway joints"},
                                                         {&g.sway_states, "oscillators"},
                                                         {&g.sway_thigh_count, "thighs"},
@@ -233,6 +239,26 @@ void check_sway(const BoundGarment& g) {
   for (int k = 0; k < states; ++k) {
     if (!(g.sway_rates[k] > 0))
       fail(element("sway_rates", k) + " is " + std::to_string(g.sway_rates[k]) + "; must be above 0");
+  }
+}
+
+// Other fabrics, of networks that have been checked.
+void check_fabrics(const BoundGarment& g) {
+  if (g.fabrics == 0) return;
+  if (g.fabric_modulation != 2 * hidden_activations(g.pose_layers)) {
+    fail("fabric_modulations have " + std::to_string(g.fabric_modulation) +
+         " values each; expected a scale and a shift for " + std::to_string(hidden_activations(g.pose_layers)) +
+         " hidden activations of the pose modulator");
+  }
+  const int shifts = g.sway_layers.empty() ? 0 : g.sway_layers[0].outputs + g.sway_layers[2].outputs;
+  if (g.fabric_sway != shifts) {
+    fail("fabric_sway_shifts have " + std::to_string(g.fabric_sway) + " values each; expected " +
+         std::to_string(shifts));
+  }
+  for (int k = 0; k < g.fabrics; ++k) {
+    if (!(g.fabric_weights[k] > 0)) {
+      fail(element("fabric_weights", k) + " is " + std::to_string(g.fabric_weights[k]) + "; must be above 0");
+    }
   }
 }
 
@@ -355,6 +381,7 @@ void validate(const BoundGarment& garment) {
   }
   check_features(g);
   check_sway(g);
+  check_fabrics(g);
   check_skin(g);
 }
 

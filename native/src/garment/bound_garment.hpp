@@ -59,6 +59,13 @@ struct BoundGarment : SkinningData {
   const std::int32_t* deformer_bones = nullptr;  // (deformer_bone_count,)
   std::vector<DenseWeights> deformer_layers;
 
+  // Other fabrics that it can be made of instead, or none. See GarmentEvaluator::set_fabric.
+  int fabrics = -1, fabric_modulation = -1, fabric_sway = -1;
+  const float* fabric_modulations = nullptr;  // (fabrics, fabric_modulation) of the pose modulator's hidden activations
+  const float* fabric_weights = nullptr;      // (fabrics,) how many times as heavy
+  const float* fabric_sway_shifts = nullptr;  // (fabrics, fabric_sway) of the first hidden activations of both parts of
+                                              // the sway network
+
   std::vector<DenseWeights> detail_layers;  // one, from the node deformer's last hidden layer to features, or none
 
   const std::int32_t* node_bone = nullptr;  // (nodes,)
@@ -105,7 +112,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "8";
+constexpr char kBoundGarmentVersion[] = "9";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

@@ -35,6 +35,7 @@ async function start() {
   const player = new Player(motion, outfit);
   addJoints(outfit, player);
   addGarments(outfit, figure);
+  addFabrics(outfit);
   find("play").onclick = () => {
     player.playing = !player.playing;
     find("play").textContent = player.playing ? "Pause" : "Play";
@@ -120,6 +121,18 @@ function addGarments(outfit, figure) {
     find("garments").append(label);
     return box;
   });
+}
+
+function addFabrics(outfit) {
+  for (const garment of outfit.garments) {
+    if (garment.fabrics.length < 2) continue;
+    const choice = document.createElement("select");
+    choice.append(...garment.fabrics.map((name) => new Option(name)));
+    choice.onchange = () => (garment.fabric = choice.value);
+    const label = Object.assign(document.createElement("label"), { textContent: `${garment.name} hangs as` });
+    label.append(choice);
+    find("fabrics").append(label);
+  }
 }
 
 start().catch((error) => {

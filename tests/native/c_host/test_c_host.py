@@ -297,7 +297,7 @@ def without_last_array(header):
     "change, message",
     [
         (lambda h: h["__metadata__"].update(format="physkin-garment"), "expected physkin-bound-garment"),
-        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 8"),
+        (lambda h: h["__metadata__"].update(schema_version="1"), "schema version '1'; this library reads 9"),
         (lambda h: h["__metadata__"].update(joint_names="[]"), "names 0 joints; expected 7"),
         (lambda h: h["__metadata__"].update(joint_names="{"), "malformed"),
         (lambda h: h["__metadata__"].update(garments="[]"), "names 0 garments; expected 1 to 16"),
