@@ -150,8 +150,8 @@ class Outfit:
         return twin
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here to a file for hosts without Python: C (`native/include/physkin.h`) and browsers. They
-        can choose from all fabrics that each garment has learnt."""
+        """Write what is bound here to a file for hosts without Python: C (`native/include/physkin.h`) and browsers. It
+        holds all fabrics that each garment has learnt."""
         others = [other_fabrics(layer, self.avatar, self.layers[:k]) for k, layer in enumerate(self.layers)]
         save_bound_outfit(
             [replace(layer.given, **fields) for layer, (_, fields) in zip(self.layers, others)],
