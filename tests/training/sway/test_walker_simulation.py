@@ -151,8 +151,12 @@ def test_wind_pulls_as_still_air_does_at_a_root_that_goes_the_other_way(simulati
     torch.testing.assert_close(in_wind, against_air, atol=1e-5, rtol=1e-3)
 
 
-def test_cloth_that_is_lost_does_not_count_and_begins_anew(simulation, monkeypatch):
-    monkeypatch.setattr(walker_simulation, "LARGEST_OFFSET", 0.0)
+@pytest.mark.parametrize(
+    "limit, value",
+    [pytest.param("LARGEST_OFFSET", 0.0, id="far away"), pytest.param("MOST_DEEP", -1.0, id="a limb goes through it")],
+)
+def test_cloth_that_is_lost_does_not_count_and_begins_anew(simulation, monkeypatch, limit, value):
+    monkeypatch.setattr(walker_simulation, limit, value)
     found, counts = offsets_of(simulation, motions(0.0, 3))
     assert counts[0].all() and not counts[1:].any()
     assert found[1:].abs().max() < 1e-5

@@ -32,16 +32,20 @@ __all__ = ["SLOWLY", "WalkerSimulation", "in_one_size", "potential_of_walkers"]
 
 ONE_SIZE = 3
 """Every third body wears the template, the others what is made to measure."""
-SOFTER_CONTACT = 0.03
+SOFTER_CONTACT = 0.1
 COMPRESSED = 0.05
 """Share of the stiffness of cloth that is left under compression."""
-NEWTON, PRODUCTS = 4, 14
+NEWTON, PRODUCTS = 8, 14
 FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
 """Of the drape at rest that a motion begins with: so many steps of so many seconds, each from standing still."""
 LARGEST_WAY = 0.33
 """[m] no vertex is forecast to move farther in a frame."""
 LARGEST_OFFSET = 1.0
-"""[m] cloth with a garment node farther from the model's drape is lost: it begins anew at the drape."""
+"""[m] cloth with a vertex farther from the model's drape is lost: it begins anew at the drape. Garment nodes say less, as
+some of what they do moves hardly any cloth."""
+DEEP, MOST_DEEP = 0.02, 0.002
+"""Cloth is lost, too, where so large a share of its vertices more than at first are deeper [m] in a part of the body
+that they are worn on: a limb goes through it."""
 LOST_FOR = 30
 """Frames that do not count after cloth was lost."""
 SLOWLY = (2 * np.pi * 1.4) ** 2
@@ -151,14 +155,16 @@ class WalkerSimulation:
             nodes = self._at_rest(now)
             offsets = now.offsets(nodes)
             last = before_last = now.to_world(nodes)
+            deep_at_first = self._deep(now, self.skinning.vertices(nodes))
             lost_for = torch.zeros(len(positions), dtype=torch.int64, device=device)
             watch(0, offsets, torch.zeros_like(offsets), lost_for == 0)
             for frame in range(1, positions.shape[1]):
                 now = stance(frame)
                 nodes, vertices = self._step(now, last, before_last, offsets)
                 resistance = self._solver.pulled_back(self.potential.time_step.resistance(vertices))
-                away = (nodes - now.drape)[..., 3].norm(dim=2).amax(dim=1)
-                lost = ~(vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT) | ~(away < LARGEST_OFFSET)
+                away = (vertices - self.skinning.vertices(now.drape)).norm(dim=2).amax(dim=1)
+                pierced = self._deep(now, vertices) - deep_at_first > MOST_DEEP
+                lost = pierced | ~(away < LARGEST_OFFSET) | ~(vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT)
                 anew = lost[:, None, None, None]
                 nodes = torch.where(anew, now.drape, nodes)
                 offsets = now.offsets(nodes)
@@ -191,6 +197,12 @@ class WalkerSimulation:
             )
         time_step.seconds = step
         return nodes
+
+    def _deep(self, now: _Stance, vertices: torch.Tensor) -> torch.Tensor:
+        """(B,) share of the vertices (B, n, 3) that are deep in what they are worn on."""
+        self.potential.evaluate(vertices, now.gravity, *self.dressed.contact)
+        collision = self.potential.collision
+        return ((collision.signed_distance < -DEEP) & collision.at_worn_part).float().mean(dim=1)
 
     def _step(
         self, now: _Stance, last: torch.Tensor, before_last: torch.Tensor, offsets: torch.Tensor
