@@ -41,7 +41,7 @@ FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
 LARGEST_WAY = 0.33
 """[m] no vertex is forecast to move farther in a frame."""
 LARGEST_OFFSET = 1.0
-"""[m] cloth with a vertex farther from the model's drape is lost: it begins anew at the drape. Garment nodes say less, as
+"""[m] cloth with a vertex farther from the model's drape is lost: it begins anew at the drape. Garment nodes say less:
 some of what they do moves hardly any cloth."""
 DEEP, MOST_DEEP = 0.02, 0.002
 """Cloth is lost, too, where so large a share of its vertices more than at first are deeper [m] in a part of the body
