@@ -235,8 +235,11 @@ def test_the_report_says_whether_to_train_longer(energies, words):
 def test_the_report_says_what_was_taken_over_and_what_was_learnt():
     rows = [{"step": step, "validation_energy": energy} for step, energy in ((0, 3.6), (100, 1.7), (200, 1.8))]
     begun = {"started_from": {"carried_from": "hoodie"}}
-    assert "began with the shipped hoodie" in training_record.taken_over(begun)
-    assert "began with nothing" in training_record.taken_over({})
+    lost, kept = (training_record.taken_over(begun, sways=sways) for sways in (False, True))
+    assert "began with hoodie" in lost and "hoodie has no sway network" in lost and "learn-sway" in lost
+    assert "and its sway network, by which cloth lags" in kept and "learn-sway" not in kept
+    nothing = training_record.taken_over({}, sways=False)
+    assert "began with nothing" in nothing and "no sway network" in nothing
     told = training_record.learnt(begun, rows)
     assert told.startswith("From there") and "that of step 100: " in told and "1.7000 J (3.6000 J at first)" in told
     assert training_record.learnt({}, []).startswith("It learnt from scratch")

@@ -11,16 +11,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from random_models import random_sway_network
 from training.small_runs import run, small_config, train_command
 
 from physkin_core import load_body_model, load_garment, load_garment_model
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import POINT_COUNT
+from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import load_config
 from physkin_training.fit_garment.fit_garment import as_toml
 from physkin_training.networks.export import drape_from_model
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ
 from physkin_training.train import schedule
 from physkin_training.train.train import main
 from physkin_training.train.trainer import TERMS, Trainer
@@ -268,6 +271,22 @@ def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkey
     shutil.copy(finished_run / "out" / "band.safetensors", tmp_path)
     main(train_command(tmp_path), shown=tmp_path / "shown.safetensors")
     assert finished == [0, 1, 2, 3] and not {("shown.safetensors", 1), ("shown.safetensors", 2)} & set(written)
+
+
+def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path, unfitted_normals):
+    model = load_garment_model(finished_run / "out" / "band.safetensors")
+    modulation = len(model.hyper_modulator["output.bias"])
+    sizes = {"joints": 12, "states": OSCILLATORS, "widths": (HIDDEN, READ, LAST), "code": 12}
+    given = np.random.default_rng(0), len(model.rig.dofs), len(model.node_rest)
+    sway = random_sway_network(*given, modulation=modulation, **sizes)
+    save_garment_model(replace(model, sway=sway), tmp_path / "swaying.safetensors")
+    start = load_garment_model(tmp_path / "swaying.safetensors")
+    config = replace(small_config(tmp_path, steps=2), start=tmp_path / "swaying.safetensors")
+    (tmp_path / "band.toml").write_text(as_toml(config))
+    assert main(train_command(tmp_path)) == 0
+    kept = load_garment_model(tmp_path / "out" / "band.safetensors").sway
+    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(kept.rates, start.sway.rates))
+    assert kept.code_directions.shape == start.sway.code_directions.shape
 
 
 def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monkeypatch, capsys, unfitted_normals):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +109,7 @@ def write_report(
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
         "<h2>In short</h2>",
         *([f"<p>{badge('undertrained', 'warning')} {html.escape(too_short)}</p>"] if too_short else []),
-        _in_short(scores, model.training, rows),
+        _in_short(scores, model, rows),
         "<h2>The mesh</h2>",
         _verdicts(checked),
         *([] if worn is None else [_how_it_sits(worn)]),
@@ -166,15 +166,16 @@ def _note(text: str) -> str:
     return f'<p class="note">No pictures: {html.escape(text)}</p>'
 
 
-def _in_short(scores: dict, training: Mapping, rows: list[dict]) -> str:
+def _in_short(scores: dict, model: GarmentModel, rows: list[dict]) -> str:
     """How good the model is, what it began with, what it learnt and whether longer would help: a list."""
-    model, plain = scores["model"], scores["skinning"]
+    drape, plain = scores["model"], scores["skinning"]
     good = (
-        f"In any pose that the joints allow, edges of the cloth are {model['edge_strain_percent']:.1f} % longer or "
+        f"In any pose that the joints allow, edges of the cloth are {drape['edge_strain_percent']:.1f} % longer or "
         f"shorter than at rest on average ({plain['edge_strain_percent']:.1f} % where cloth only follows the bones), "
-        f"and {model['inside_percent']:.1f} % of its vertices are inside the body. In everyday poses it is less."
+        f"and {drape['inside_percent']:.1f} % of its vertices are inside the body. In everyday poses it is less."
     )
-    said = (good, taken_over(training), learnt(training, rows), longer_or_not(rows))
+    begun = taken_over(model.training, sways=model.sway is not None)
+    said = (good, begun, learnt(model.training, rows), longer_or_not(rows))
     return "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in said) + "</ul>"
 
 

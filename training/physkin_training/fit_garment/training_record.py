@@ -15,6 +15,7 @@ LAST, STILL_FALLING = 0.25, 3.0
 """Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
 FEW_STEPS = 1000
 """Fewer have hardly begun; from some 10,000 on strains are close to those of the shipped garments."""
+NO_SWAY = "so that this cloth does not lag or swing when the body moves; physkin learn-sway teaches it on a GPU."
 LITTLE_BETTER = 0.7
 """Of plain skinning's edge strain; shipped garments have a quarter to a half of it."""
 
@@ -59,14 +60,20 @@ def longer_or_not(rows: list[dict]) -> str:
     )
 
 
-def taken_over(training: Mapping) -> str:
-    """What a run began with, in words. training: of its model."""
+def taken_over(training: Mapping, *, sways: bool) -> str:
+    """What a run began with, in words. training: of its model. sways: whether that has a sway network."""
     if not (start := training.get("started_from", {}).get("carried_from")):
-        return "Training began with nothing: everything the model knows was learnt on this mesh."
-    return (
-        f"Training began with the shipped {start}: its garment nodes, which carry the cloth, its networks, which move "
-        "them by pose and body, and its folds between the nodes were taken over."
+        return (
+            "Training began with nothing: everything the model knows was learnt on this mesh. It has no sway network, "
+            f"{NO_SWAY}"
+        )
+    said = (
+        f"Training began with {start}: its garment nodes, which carry the cloth, its networks, which move them by pose "
+        "and body, and its folds between the nodes were taken over"
     )
+    if sways:
+        return f"{said}, and its sway network, by which cloth lags, swings and settles when the body moves."
+    return f"{said}. {start} has no sway network that could be taken over, {NO_SWAY}"
 
 
 def learnt(training: Mapping, rows: list[dict]) -> str:

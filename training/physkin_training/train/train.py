@@ -13,9 +13,10 @@ from pathlib import Path
 
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
-from physkin_core.model.model_file import save_garment_model
+from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_training.config import ConfigError, load_config
 from physkin_training.devices import DEFAULT_DEVICE
+from physkin_training.networks.carried_sway import carried_sway
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.rounding.rounded_model import rounded_model
@@ -202,7 +203,8 @@ def export(trainer: Trainer, path: Path) -> GarmentModel:
 
 
 def _best_model(trainer: Trainer) -> GarmentModel:
-    """Of the run's best drape, with the mesh's normals and network weights as they are."""
+    """Of the run's best drape, with the mesh's normals, network weights as they are, and the sway of what it began
+    with."""
     config, best = trainer.config, trainer.best
     training = config.as_plain_data() | {"step": best.step if best else trainer.step}
     training["bending_octaves"] = list(BENDING_OCTAVES)
@@ -210,7 +212,7 @@ def _best_model(trainer: Trainer) -> GarmentModel:
         training["validation_energy_j"] = best.energy
     if trainer.started_from:
         training["started_from"] = trainer.started_from
-    return model_from_drape(
+    model = model_from_drape(
         trainer.best_drape(),
         trainer.garment,
         trainer.rig,
@@ -220,6 +222,10 @@ def _best_model(trainer: Trainer) -> GarmentModel:
         material=config.material,
         training=training,
     )
+    start = config.start and load_garment_model(config.start)
+    if start and start.sway is not None:
+        model = replace(model, sway=carried_sway(start, model, trainer.body_model, trainer.device))
+    return model
 
 
 if __name__ == "__main__":
