@@ -32,7 +32,7 @@ def finished_run(tmp_path_factory) -> Path:
     """A folder with `band.toml`, `band.obj`, and the command's `out`: stopped by the clock at step 4, then resumed."""
     from training.small_runs import small_config, train_command
 
-    from physkin_training.fit_garment.fit_garment import as_toml
+    from physkin_training.config import as_toml
     from physkin_training.train.train import main
 
     folder = tmp_path_factory.mktemp("finished")

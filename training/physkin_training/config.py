@@ -21,6 +21,7 @@ __all__ = [
     "NetworkConfig",
     "OptimisationConfig",
     "TrainingConfig",
+    "as_toml",
     "load_config",
 ]
 
@@ -182,6 +183,20 @@ def load_config(path: str | Path, *, name: str | None = None, garment: Path | No
             raise ContentError("; ".join(map(_in_words, error.errors()))) from error
     start = config.start and (path.parent / config.start).resolve()
     return replace(config, garment=(path.parent / config.garment).resolve(), start=start)
+
+
+def as_toml(config: TrainingConfig) -> str:
+    """A configuration as the text of a file that `load_config` reads; the garment by its file name alone."""
+    data = config.as_plain_data()
+    tables = {name: value for name, value in data.items() if isinstance(value, dict)}
+
+    def lines(values: dict) -> list[str]:
+        return [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v!r}" for k, v in values.items()]
+
+    text = lines({name: value for name, value in data.items() if name not in tables})
+    for name, values in tables.items():
+        text += ["", f"[{name}]", *lines(values)]
+    return "\n".join(text) + "\n"
 
 
 def _in_words(error: dict) -> str:

@@ -17,7 +17,7 @@ from training.small_runs import small_config, write_belly_band
 from physkin_core import load_garment_model
 from physkin_core.cli import main
 from physkin_core.extras import install_command
-from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.config import as_toml
 
 
 @pytest.fixture

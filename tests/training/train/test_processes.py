@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from training.small_runs import small_config
 
 from physkin_core import load_garment_model
-from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.config import as_toml
 from physkin_training.train import processes
 from physkin_training.train.processes import Processes, join
 from physkin_training.train.train import main

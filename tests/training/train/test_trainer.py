@@ -18,8 +18,7 @@ from physkin_core import load_body_model, load_garment, load_garment_model
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.model_file import save_garment_model
-from physkin_training.config import load_config
-from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.config import as_toml, load_config
 from physkin_training.networks.export import drape_from_model
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.physics.physics_losses import PhysicsLosses

@@ -11,7 +11,7 @@ from training.small_runs import small_config, train_command
 
 from physkin_core import load_body_model, load_garment_model
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
-from physkin_training.fit_garment.fit_garment import as_toml
+from physkin_training.config import as_toml
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData

@@ -22,7 +22,7 @@ from physkin_training.catalogue.plan import (
     steps_taken,
     write_status,
 )
-from physkin_training.fit_garment.fit_garment import add_training_options
+from physkin_training.fit_garment.options import add_training_options
 
 __all__ = ["command_parser", "main"]
 

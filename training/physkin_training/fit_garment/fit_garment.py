@@ -10,7 +10,6 @@ import argparse
 import json
 import logging
 import math
-import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,40 +23,33 @@ from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
-from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
+from physkin_core.outfit.outfit_options import print_warnings
 from physkin_core.picture import PictureError, contact_sheet, save_png
-from physkin_training.config import TrainingConfig, load_config
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.config import TrainingConfig, as_toml, load_config
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
-from physkin_training.fit_garment.first_model import NOTHING, chosen_start, first_look, first_model, folds_verdict
+from physkin_training.fit_garment.first_model import chosen_start, first_look, first_model, folds_verdict
+from physkin_training.fit_garment.options import ADVICE, DEFAULT_MINUTES, FEWEST_STEPS, checked_device, command_parser
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, started_from
 from physkin_training.fit_garment.report import placement_picture, write_report
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
 from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
-from physkin_training.fit_garment.verdicts import verdict_table
+from physkin_training.fit_garment.verdicts import in_lines
 from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["FIGURES", "FIRST", "add_training_options", "as_toml", "choose_steps", "command_parser", "main"]
+__all__ = ["FIGURES", "FIRST", "choose_steps", "main"]
 
 log = logging.getLogger(__name__)
-DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
-"""A GPU in minutes, a CPU overnight."""
 REST, LONGEST_REST = 0.25, 150.0
 """Time kept for what follows training: share of all, and seconds at most. The report draws and measures less where that
 is too little."""
 MEASURING = 0.1
 """Share of the time in which steps are timed."""
-LEAST_MINUTES = {"cuda": 0.0, "cpu": 10.0}
-"""Of the default recipe: a step takes seconds on a CPU, so that less would be refused after checks and measurements."""
 FIRST, START = "first.png", "start.safetensors"
 """In the run's folder: a picture of the model before training, and the model."""
-FEWEST_STEPS = 100
-"""Shorter runs do not even get through the warm-up."""
-ADVICE = "give more, or a smaller recipe with --recipe"
 REFUSED = 1
 FIGURES = "figures.json"
 """In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
@@ -92,25 +84,12 @@ def _for_training(budget: TimeBudget) -> float:
     return budget.left - min(REST * budget.seconds, LONGEST_REST)
 
 
-def as_toml(config: TrainingConfig) -> str:
-    """A configuration as the text of a file that `load_config` reads; the garment by its file name alone."""
-    data = config.as_plain_data()
-    tables = {name: value for name, value in data.items() if isinstance(value, dict)}
-
-    def lines(values: dict) -> list[str]:
-        return [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v!r}" for k, v in values.items()]
-
-    text = lines({name: value for name, value in data.items() if name not in tables})
-    for name, values in tables.items():
-        text += ["", f"[{name}]", *lines(values)]
-    return "\n".join(text) + "\n"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails; 2 for an error;
     130 for Ctrl-C."""
     options = command_parser().parse_args(argv)
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    logging.getLogger("physkin_training").setLevel(logging.INFO)  # not each body that the garment is put on
     try:
         return _fit(options)
     except (ValueError, OSError) as error:
@@ -118,70 +97,9 @@ def main(argv: list[str] | None = None) -> int:
         return 2
 
 
-def command_parser() -> argparse.ArgumentParser:
-    """Options of `physkin fit-garment`."""
-    parser = argparse.ArgumentParser(prog="physkin fit-garment", description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF; or a sewing pattern: JSON"
-    )
-    parser.add_argument(
-        "--edge-length", type=float, metavar="M", help=f"of the triangles of a pattern [m] (default {EDGE_LENGTH:g})"
-    )
-    add_avatar_options(parser, made_on=True)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
-    parser.add_argument(
-        "--check-only", action="store_true", help="print the verdicts, write the repaired mesh and a picture, stop"
-    )
-    add_training_options(parser)
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="go on from the checkpoint of a stopped run, where there is one, with its steps and recipe",
-    )
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
-    return parser
-
-
-def add_training_options(parser: argparse.ArgumentParser) -> None:
-    """Options of training a garment and of its report, also for a catalogue of garments."""
-    parser.add_argument(
-        "--accept-placement", action="store_true", help="train though its place on the avatar is in doubt"
-    )
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument(
-        "--minutes", type=float, help="that a garment takes, report included (default: 15 on a GPU, 480 on a CPU)"
-    )
-    length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
-    parser.add_argument(
-        "--from",
-        metavar="NAME",
-        help=f"garment model whose networks training begins with, or {NOTHING} (default: the nearest shipped one)",
-    )
-    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
-    parser.add_argument(
-        "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="while it trains (default 5)"
-    )
-    parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
-    parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
-
-
 def _fit(options: argparse.Namespace) -> int:
     output: Path = options.output
-    if output.suffix != ".safetensors" or not re.fullmatch(r"\w[\w. -]*", output.stem):
-        raise ValueError(f"cannot write {output}: the name must be a plain one that ends in .safetensors")
-    if options.minutes is not None and not 0 < options.minutes < math.inf:
-        raise ValueError(f"--minutes {options.minutes} must be above 0")
-    if options.steps is not None and options.steps < 1:
-        raise ValueError(f"--steps {options.steps} must be at least 1")
-    if not options.checkpoint_every > 0:
-        raise ValueError(f"--checkpoint-every {options.checkpoint_every:g} must be above 0 minutes")
-    device = resolve_device(options.device)
-    least = LEAST_MINUTES[device.type]
-    if options.minutes is not None and options.minutes < least and not (options.recipe or options.check_only):
-        raise ValueError(
-            f"--minutes {options.minutes:g} is too little on a {device.type.upper()}: at least {least:g} are needed "
-            f"for {FEWEST_STEPS} steps, and {DEFAULT_MINUTES[device.type]:g} for a garment to use; {ADVICE}"
-        )
+    device = checked_device(options)
     minutes = math.inf if options.steps else options.minutes or DEFAULT_MINUTES[device.type]
     budget = TimeBudget(minutes)
     body_model = load_body_model()
@@ -197,8 +115,8 @@ def _fit(options: argparse.Namespace) -> int:
         mesh = read_mesh(options.garment)
     checked = check_garment(mesh, avatar, template, own=own)
     if checked.refused:
-        print(verdict_table(checked.verdicts))
         refused = checked.first("refused")
+        print(in_lines([verdict for verdict in checked.verdicts if verdict is not refused]))
         print(
             f"error: {options.garment} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}",
             file=sys.stderr,
@@ -211,7 +129,9 @@ def _fit(options: argparse.Namespace) -> int:
     garment = load_garment(mesh)
     likeness, verdict = chosen_start(garment, getattr(options, "from"))
     checked = replace(checked, verdicts=(*checked.verdicts, verdict))
-    print(verdict_table(checked.verdicts))
+    print(in_lines(checked.verdicts))
+    if verdict.outcome == "ok":
+        print(f"{verdict.check}: {verdict.found}")
     kept = f" with {checked.look}" if str(checked.look) else ""
     print(f"wrote {mesh}{kept}")
     unsure = checked.first("unsure")

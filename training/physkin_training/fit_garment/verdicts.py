@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import trimesh
-from tabulate import tabulate
 
-__all__ = ["COLUMNS", "Checks", "Outcome", "Verdict", "verdict_table"]
+__all__ = ["COLUMNS", "Checks", "Outcome", "Verdict", "in_lines"]
 
 Outcome = Literal["ok", "repaired", "warning", "unsure", "refused"]
 COLUMNS = ("check", "verdict", "found", "allowed")
@@ -48,6 +48,12 @@ class Checks:
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
-def verdict_table(verdicts: tuple[Verdict, ...]) -> str:
-    """The verdicts as a Markdown table."""
-    return tabulate([tuple(vars(verdict).values()) for verdict in verdicts], COLUMNS, tablefmt="github")
+def in_lines(verdicts: Sequence[Verdict]) -> str:
+    """Verdicts as lines of text: each that is not ok, then the names of those that are."""
+    lines = [
+        f"{each.outcome}: {each.check}: {each.found} (allowed: {each.allowed})"
+        for each in verdicts
+        if each.outcome != "ok"
+    ]
+    ok = [each.check for each in verdicts if each.outcome == "ok"]
+    return "\n".join([*lines, f"ok: {', '.join(ok) or 'none'}"])
