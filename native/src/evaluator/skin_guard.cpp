@@ -38,6 +38,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, c
     : kernels_(kernels),
       nodes_(g.nodes),
       cloth_(g, g.guard, kernels, arena),
+      unswayed_cloth_(g, g.guard, kernels, arena),
       samples_(cloth_.count()),
       rows_(cloth_.rows()),
       influences_(g.guard.influences),
@@ -55,6 +56,7 @@ SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, c
       beyond_(arena.take<float>(rows_)),
       points_(arena.take<float>(3 * std::size_t(rows_))),
       contacts_(arena.take<float>(4 * std::size_t(rows_))),
+      unswayed_(arena.take<float>(12 * std::size_t(nodes_))),
       lacks_(arena.take<Lack>(std::size_t(g.skin_parts) * samples_)),
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
       stilled_(arena.take<float>(nodes_)),
@@ -84,17 +86,18 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
                          float* node_transforms) noexcept {
   offsets_ = cloth.detail_offsets;
   leads_far_ = true;
+  const bool sways = cloth.corrections != cloth.still;
+  place_samples(node_transforms, true);
+  if (sways && hold_back(nodes, bone_transforms, cloth, node_transforms)) place_samples(node_transforms, true);
   for (int pass = 0; pass < kPasses; ++pass) {
-    place_samples(node_transforms, leads_far_);
+    if (pass > 0) place_samples(node_transforms, leads_far_);
     if (leads_far_) {
       for (Part& part : parts_) find_near(part);
     }
     leads_far_ = false;
     any_moved_ = find_lacks();
     if (!any_moved_) return;
-    if (pass == 0 && cloth.corrections != cloth.still) {
-      sway_less(nodes, bone_transforms, cloth, node_transforms);
-    }
+    if (pass == 0 && sways) sway_less(node_transforms);
     move_nodes(node_transforms);
   }
 }
@@ -177,30 +180,57 @@ void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack)
   lack.normal = towards;
 }
 
-// What samples lack afterwards is foreseen: looking it up would take as long as all of this.
-void SkinGuard::sway_less(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
+bool SkinGuard::hold_back(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                           float* node_transforms) noexcept {
-  std::fill_n(stilled_, nodes_, -1.0f);
-  for (int at = 0; at < lack_count_; ++at) {
-    Lack& lack = lacks_[at];
-    const std::size_t first = std::size_t(lack.sample) * influences_;
-    for (int k = 0; k < influences_; ++k) {
-      const int node = influence_nodes_[first + k];
-      if (stilled_[node] >= 0) continue;
-      stilled_[node] = 0;
-      store_affine(nodes.added(node, bone_transforms, cloth.corrections, cloth.still), sway_ + 12 * node);
-    }
-    lack.cost = std::max(-dot(lack.normal, swayed(lack.sample)), 0.0f);
-    const float needed = std::min(lack.length * lack.cost / (lack.cost * lack.cost + kWorthwhile * kWorthwhile), 1.0f);
-    for (int k = 0; k < influences_; ++k) {
-      float& stilled = stilled_[influence_nodes_[first + k]];
-      stilled = std::max(stilled, needed * std::min(influence_weights_[first + k] / kCarries, 1.0f));
+  for (int i = 0; i < nodes_; ++i) {
+    store_affine(nodes.added(i, bone_transforms, cloth.corrections, cloth.still), sway_ + 12 * i);
+  }
+  for (int k = 0; k < 12 * nodes_; ++k) unswayed_[k] = node_transforms[k] - sway_[k];
+  skinning_matrices(unswayed_, node_rest_, nodes_, matrices_);
+  for (int block = 0; block < cloth_.blocks(); ++block) unswayed_cloth_.place(block, matrices_, offsets_);
+  std::fill_n(stilled_, nodes_, 0.0f);
+  bool crosses = false;
+  for (const Part& part : parts_) {
+    float* crossed = contacts_;
+    kernels_.axis_crossed(part.skin.axis, part.skin.widths, part.skin.field.bones, unswayed_cloth_.positions(),
+                          cloth_.positions(), rows_, crossed);
+    for (int s = 0; s < samples_; ++s) {
+      if (!(crossed[s] > 0)) continue;
+      still(s, shares_[s] * crossed[s]);
+      crosses = true;
     }
   }
+  if (!crosses) return false;
+  take_away(node_transforms);
+  for (int i = 0; i < nodes_; ++i) {
+    for (int k = 0; k < 12; ++k) sway_[12 * i + k] *= 1 - stilled_[i];
+  }
+  return true;
+}
+
+void SkinGuard::still(int sample, float share) noexcept {
+  for (int k = influences_ * sample; k < influences_ * (sample + 1); ++k) {
+    float& stilled = stilled_[influence_nodes_[k]];
+    stilled = std::max(stilled, share * std::min(influence_weights_[k] / kCarries, 1.0f));
+  }
+}
+
+void SkinGuard::take_away(float* node_transforms) noexcept {
   for (int i = 0; i < nodes_; ++i) {
     if (!(stilled_[i] > 0)) continue;
     for (int k = 0; k < 12; ++k) node_transforms[12 * i + k] -= stilled_[i] * sway_[12 * i + k];
   }
+}
+
+// What samples lack afterwards is foreseen: looking it up would take as long as all of this.
+void SkinGuard::sway_less(float* node_transforms) noexcept {
+  std::fill_n(stilled_, nodes_, 0.0f);
+  for (int at = 0; at < lack_count_; ++at) {
+    Lack& lack = lacks_[at];
+    lack.cost = std::max(-dot(lack.normal, swayed(lack.sample)), 0.0f);
+    still(lack.sample, std::min(lack.length * lack.cost / (lack.cost * lack.cost + kWorthwhile * kWorthwhile), 1.0f));
+  }
+  take_away(node_transforms);
   for (int at = 0; at < lack_count_; ++at) {
     Lack& lack = lacks_[at];
     const std::size_t first = std::size_t(lack.sample) * influences_;

@@ -1,5 +1,5 @@
-// Keeps cloth that hangs free out of legs, hips and trunk: garment nodes that sway into the skin sway less, and are then
-// moved out along its normal, before skinning, so that all that is skinned to them (vertices, points, other meshes) goes
+// Keeps cloth that hangs free out of legs, hips and trunk: garment nodes that sway through a leg or into the skin sway
+// less, and are then moved out along its normal, before skinning, so that all that is skinned to them (vertices, points, other meshes) goes
 // along smoothly. What sways remembers nothing of it: it depends on the frame's garment nodes alone, and is as smooth in
 // time as they are. physkin_core/runtime/skin_guard.py says which cloth that is, and fits the skin.
 #pragma once
@@ -68,16 +68,22 @@ class SkinGuard {
   void add_lacks(Part& part) noexcept;
   // Of a hem that a folding shin has passed the skin's normal leads to the wrong side: turns it, and what is lacking.
   void lead_back(const Part& part, int sample, float depth, Lack& lack) noexcept;
-  // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
-  void sway_less(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
+  // Finds sway_, and takes away what leads samples through a leg: on its far side they would lack nothing. Whether
+  // anything had to be.
+  bool hold_back(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                  float* node_transforms) noexcept;
+  // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
+  void sway_less(float* node_transforms) noexcept;
+  // A share of sway that is to go, of the garment nodes of a sample, and all of these.
+  void still(int sample, float share) noexcept;
+  void take_away(float* node_transforms) noexcept;
   // What sway has moved a sample by [m], from sway_ of its garment nodes.
   Vector3 swayed(int sample) const noexcept;
   void move_nodes(float* node_transforms) noexcept;
 
   const Kernels& kernels_;
   int nodes_;
-  ClothSamples cloth_;
+  ClothSamples cloth_, unswayed_cloth_;
   int samples_, rows_, influences_, detail_influences_;
   bool* is_near_;                   // (blocks,)
   std::int32_t* block_of_;          // (samples,)
@@ -94,11 +100,12 @@ class SkinGuard {
   float* beyond_;  // (rows,) squared [m2], below zero within the width of a part
   float* points_;  // (3, rows) of those near a part, and (4, rows) what the kernel says of them
   float* contacts_;
-  Lack* lacks_;  // lack_count_ of them, at most (parts * samples)
+  float* unswayed_;  // (nodes, 3, 4) transforms without sway
+  Lack* lacks_;      // lack_count_ of them, at most (parts * samples)
   int lack_count_ = 0;
   bool any_moved_ = false;
   bool leads_far_ = false;  // samples that were not near before may be so after a move
-  float* sway_;             // (nodes, 3, 4) what it has added to their transforms, where stilled_ is not below zero
+  float* sway_;             // (nodes, 3, 4) what it adds to their transforms
   float* stilled_;          // (nodes,) share of sway taken away, 0 to 1
   float* moved_;            // (nodes,) [m] in the last pass
   float* sums_;             // (nodes, 4): what their samples lack in a pass, as vectors and by how much they count

@@ -23,6 +23,7 @@ const Kernels kernels{
     ring_normals,
     trunk_depth,
     axis_beyond,
+    axis_crossed,
     oscillate,
     multiply_add,
     read_memory,

@@ -136,6 +136,11 @@ struct Kernels {
   void (*axis_beyond)(const float* axis, const float* widths, int stretches, const float* points, int count,
                       float* beyond);
 
+  // Of ways from points to others, both (3, count) as above, the share (count,) that is to go so that none leads through
+  // the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin inside go on.
+  void (*axis_crossed)(const float* axis, const float* widths, int stretches, const float* from, const float* to,
+                       int count, float* crossed);
+
   // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and
   // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.
   void (*oscillate)(const Oscillators& oscillators, const float* driven, float elapsed);

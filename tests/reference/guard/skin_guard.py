@@ -1,11 +1,12 @@
 """Cloth that hangs free kept out of legs and trunk: garment nodes sway less, then move along the skin's normals.
 
-Where a sample lacks something along the normal and sway has cost it something there, a share of its sway is to go:
-what it lacks, divided by that cost, which is rounded where it is small. Of a garment node the largest share goes that
-is asked for by samples of which it carries a tenth or more, and less by others. Then it moves by the mean, over
-samples that it carries, of what each still lacks along the normal, weighted by skinning weight times lack; twice, the
-second time seeing what the first has left. The fields are those of `physkin_core.runtime.skin_guard`; depths are
-those of the product's `TrunkShape`.
+Where sway leads a sample through the middle of a part of the skin, the share of it that lies behind where it enters
+is to go. After that, where a sample lacks something along the normal and sway has cost it something there, a share of
+its sway is to go: what it lacks, divided by that cost, which is rounded where it is small. Of a garment node the
+largest share goes that is asked for by samples of which it carries a tenth or more, and less by others. Then it moves
+by the mean, over samples that it carries, of what each still lacks along the normal, weighted by skinning weight times
+lack; twice, the second time seeing what the first has left. The fields are those of `physkin_core.runtime.skin_guard`;
+depths are those of the product's `TrunkShape`.
 """
 
 import numpy as np
@@ -16,6 +17,7 @@ from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
 WORTHWHILE, CARRIES, REACH, AGAINST = 0.002, 0.1, 0.05, 0.5
+MIDDLE, LEAST, DIRECTIONS = 0.6, 1e-9, 32
 
 
 def kept_out(bound, bones, nodes, sway, features=()):
@@ -28,13 +30,17 @@ def kept_out(bound, bones, nodes, sway, features=()):
     samples, count = len(bound.guard_vertices), len(nodes)
     weights = np.zeros((samples, count))
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
+    if sway.any():
+        start, end = (skin(sampled, each, features)[0] for each in (nodes - sway, nodes))
+        gone = _share_to_go(weights, _crossed(bound, bones, start, end))
+        nodes, sway = nodes - gone[:, None, None] * sway, (1 - gone)[:, None, None] * sway
     for k in range(PASSES):
         lacks = list(_lacks(bound, bones, skin(sampled, nodes, features)[0]))
         if k == 0:
             swayed, _ = skin(sampled, sway, features)
             costs = [np.maximum(-(swayed * normal).sum(axis=1), 0) for _, normal in lacks]
             needed = [np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1) for (lack, _), cost in zip(lacks, costs)]
-            gone = (np.max(needed, axis=0)[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
+            gone = _share_to_go(weights, np.max(needed, axis=0))
             nodes -= gone[:, None, None] * sway
             gained = [(weights @ gone) * cost for cost in costs]
             lacks = [(np.maximum(lack - gain, 0), normal) for (lack, normal), gain in zip(lacks, gained)]
@@ -46,6 +52,54 @@ def kept_out(bound, bones, nodes, sway, features=()):
         by = np.where(counted > 1e-9, 1 / np.maximum(counted, 1e-9), 0)[:, None] * moved
         nodes[:, :, 3] += by
     return nodes, np.linalg.norm(by, axis=1)
+
+
+def _share_to_go(weights, needed):
+    """Of each garment node's sway, (m,), where samples need such shares (s,) gone."""
+    return (needed[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
+
+
+def _crossed(bound, bones, start, end):
+    """Shares (s,) of the ways of samples from start to end (s, 3) that are to go, the largest of all parts."""
+    shares = [np.zeros(len(start))]
+    for part in np.flatnonzero(bound.skin_presses == 0):
+        axis, widths = _axis(bound, part, bones)
+        for first, last, width in zip(axis[:-1], axis[1:], widths):
+            way, x, d = last - first, start - first, end - start
+            square, length = max(way @ way, LEAST), np.maximum((d**2).sum(axis=1), LEAST)
+            ahead, beside, begin = (d * x).sum(axis=1), d @ way, x @ way
+            share = np.clip((beside * begin - ahead * square) / np.maximum(length * square - beside**2, LEAST), 0, 1)
+            along = np.clip((beside * share + begin) / square, 0, 1)
+            share = np.clip((beside * along - ahead) / length, 0, 1)
+            near = ((x + share[:, None] * d - along[:, None] * way) ** 2).sum(axis=1)
+            first_off = ((x - np.clip(begin / square, 0, 1)[:, None] * way) ** 2).sum(axis=1)
+            outer, inner = MIDDLE**2 * width**2, (MIDDLE / 2) ** 2 * width**2
+            outside = np.clip((first_off - outer) / (width**2 - outer), 0, 1)
+            through = np.clip((outer - near) / (outer - inner), 0, 1)
+            enters = np.clip(share - np.sqrt(np.maximum((width**2 - near) / length, LEAST)), 0, 1)
+            shares.append(bound.guard_shares * outside * through * (1 - enters))
+    return np.max(shares, axis=0)
+
+
+def _axis(bound, part, bones):
+    """Posed points (k + 1, 3) of a part's axis, and its widths [m] between them, (k,)."""
+    x, y, low, high, _ = bound.skin_shapes[part].astype(np.float64)
+    count = int((bound.skin_heights[part] < 1e3).sum())
+    heights = np.array([low, *bound.skin_heights[part][1:count], high], dtype=np.float64)
+    frame, points = bound.skin_frames[part].astype(np.float64), []
+    for k, height in enumerate(heights):
+        bone = bones[bound.skin_bones[part][min(k, count - 1)]]
+        canonical = frame[:, :3].T @ (np.array([x, y, height]) - frame[:, 3])
+        points.append(bone[:, :3] @ canonical + bone[:, 3])
+    coefficients = bound.skin_coefficients[part].astype(np.float64)
+    cells = np.clip((heights - low) * (len(coefficients) - 2) / (high - low), 0, len(coefficients) - 2).astype(int)
+    angles = 2 * np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+    waves = [np.ones(DIRECTIONS)]
+    for h in range(1, (coefficients.shape[1] + 1) // 2):
+        waves += [np.cos(h * angles), np.sin(h * angles)]
+    radii = (coefficients @ np.array(waves)).max(axis=1)
+    widths = [radii[a : max(a, min(b + 2, len(radii) - 1)) + 1].max(initial=0) for a, b in zip(cells[:-1], cells[1:])]
+    return np.array(points), np.array(widths)
 
 
 def sampled_cloth(bound, kind):
