@@ -1,4 +1,4 @@
-"""`physkin bench`: how long a frame of a garment and its stages take on this machine, on one thread.
+"""`physkin bench`: time a frame of a garment and its stages on one thread of this machine.
 
 `make bench` in a clone measures more: other engines, the machine's limits, cold caches.
 """

@@ -48,7 +48,7 @@ FORWARDED = {
         "physkin_core.points.bind_points",
         "carry a garment to another mesh, a point cloud or Gaussian splats; write them draped",
     ),
-    "doctor": ("physkin_core.doctor.doctor", "look whether this installation works; say what to do where not"),
+    "doctor": ("physkin_core.doctor.doctor", "check this installation; say what to do where something is wrong"),
     "view": ("physkin_core.view.view", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
     "demo": ("physkin_ros.tools.demo", "run the node between a motion player and a listener; draw a picture"),
@@ -68,7 +68,7 @@ FORWARDED = {
     "contact-sheet": ("physkin_training.evaluate.contact_sheet", "draw a model on thin, average and heavy bodies"),
     "replay": (
         "physkin_ros.replay.command",
-        "drape the joint states of a bag; write clouds, figures and a report. Needs no ROS",
+        "drape the joint states of a bag; write clouds, figures and a report, without ROS",
     ),
     "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
 }
@@ -78,8 +78,8 @@ OWN = {
     "drape": "drape one frame of a motion; write a mesh or a picture",
     "bind": "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)",
     "info": "say what a garment model file holds",
-    "convert-model": "write a garment model file of an earlier release anew",
-    "completion": "print what a shell needs to complete this command's options",
+    "convert-model": "convert a garment model file of an earlier release to this one",
+    "completion": "print what a shell needs to complete commands and options",
 }
 """The other subcommands, and what they do."""
 
@@ -167,7 +167,8 @@ class _GroupedParser(argparse.ArgumentParser):
             [
                 *lines,
                 "",
-                f"physkin COMMAND --help lists a command's options. {DEBUG} shows where an error was raised.",
+                "to begin with: physkin view -g trousers -g tshirt",
+                f"physkin COMMAND --help lists the options of a command. {DEBUG} shows where an error was raised.",
                 "",
             ]
         )
@@ -186,7 +187,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     add_garment_option(worn)
     add_rig_option(worn)
     add_fit_option(worn)
-    drape = commands.add_parser("drape", parents=[worn], help=OWN["drape"])
+    drape = commands.add_parser("drape", parents=[worn], help=OWN["drape"], description=OWN["drape"])
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
@@ -197,18 +198,18 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     add_own_clothes_option(drape)
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     drape.set_defaults(run=_drape)
-    bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"])
+    bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"], description=OWN["bind"])
     add_tucked_option(bind)
     bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
     bind.set_defaults(run=_bind)
-    info = commands.add_parser("info", help=OWN["info"])
+    info = commands.add_parser("info", help=OWN["info"], description=OWN["info"])
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
-    convert = commands.add_parser("convert-model", help=OWN["convert-model"])
+    convert = commands.add_parser("convert-model", help=OWN["convert-model"], description=OWN["convert-model"])
     convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
     convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
     convert.set_defaults(run=_convert_model)
-    completion = commands.add_parser("completion", help=OWN["completion"])
+    completion = commands.add_parser("completion", help=OWN["completion"], description=OWN["completion"])
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
     return parser

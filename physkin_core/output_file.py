@@ -22,4 +22,4 @@ def check_folder(path: Path) -> None:
 def check_other_file(path: Path, *read: str | Path) -> None:
     """Raises ValueError where `path` is one of the files that are read: it would be lost."""
     if path.exists() and any(Path(file).is_file() and path.samefile(file) for file in read):
-        raise ValueError(f"cannot write {path}: it is what is read; give another name")
+        raise ValueError(f"cannot write {path}: it is the file that is read; give another name")

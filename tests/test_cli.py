@@ -140,10 +140,13 @@ def test_warnings_about_an_avatar_are_printed_once(model_path, garment_model, tm
         (["drape", "{avatar}", "-g", "{model}", "-o", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
         (["check", "{avatar}", "-g", "{model}", "-o", "{tmp}/none/out.png"], "none/out.png: there is no folder"),
         (["check", "{avatar}", "-g", "{model}", "--json", "{tmp}/folder.obj"], "folder.obj: it is a folder"),
-        (["drape", "{mine}", "-g", "{model}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
-        (["bind", "{mine}", "-g", "{model}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
-        (["export", "walk", "--avatar", "{tmp}/me.glb", "-o", "{tmp}/me.glb"], "me.glb: it is what is read"),
-        (["bind-points", "tshirt", "{mine}", "-o", "{mine}"], "me.obj: it is what is read; give another name"),
+        (
+            ["drape", "{mine}", "-g", "{model}", "-o", "{mine}"],
+            "me.obj: it is the file that is read; give another name",
+        ),
+        (["bind", "{mine}", "-g", "{model}", "-o", "{mine}"], "me.obj: it is the file that is read; give another name"),
+        (["export", "walk", "--avatar", "{tmp}/me.glb", "-o", "{tmp}/me.glb"], "me.glb: it is the file that is read"),
+        (["bind-points", "tshirt", "{mine}", "-o", "{mine}"], "me.obj: it is the file that is read; give another name"),
     ],
 )
 def test_errors_are_one_line(arguments, reason, model_path, tmp_path, capsys):

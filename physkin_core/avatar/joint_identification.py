@@ -47,13 +47,13 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, dict[str, 
     named, naming = named_bones(mesh.joint_names, rig, humanoid=mesh.humanoid)
     if 2 * sum(bone in named for bone in required) < len(required):
         skeleton = mesh.joint_heads, mesh.joint_parents, rig
-        for told_by, shaped in (
+        for found_by, shaped in (
             ("the limbs that they name", bones_by_limbs(limb_joints(mesh.joint_names), *skeleton)),
             ("the skeleton's shape", bones_by_structure(*skeleton)),
         ):
             if shaped is not None and all(bone in shaped for bone in required):
-                warning = f"no naming fits the joints' names; by {told_by} these were taken: "
-                return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, told_by
+                warning = f"no naming fits the joints' names; by {found_by} these were taken: "
+                return _with_taken(mesh, warning, {bone: shaped[bone] for bone in required}), shaped, found_by
     ends = limb_ends(named, mesh.joint_heads, mesh.joint_parents)
     longer, added = _with_limb_ends(mesh, named | ends)
     found = named | ends | added

@@ -117,8 +117,8 @@ def _upright_axis(vertices: np.ndarray, faces: np.ndarray, usual: str) -> str:
 
 def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, warnings, **parts) -> SkinnedMesh:
     body = _template(rig, source)
-    told = {name: parts[name] for name in ("part_names", "face_parts")}
-    fit = fit_body(*without_accessories(vertices, faces, **told), body)
+    named = {name: parts[name] for name in ("part_names", "face_parts")}
+    fit = fit_body(*without_accessories(vertices, faces, **named), body)
     height = float(np.ptp(vertices[:, 2]))
     if fit.residual > LARGEST_RESIDUAL * height:
         raise AvatarError(
@@ -173,6 +173,6 @@ def _read_surface(path: Path) -> Surface:
     file = read_obj(path)
     called = [(names.material, names.group, names.object) for names in file.names]
     number = {part: index for index, part in enumerate(dict.fromkeys(called))}
-    told = tuple(tuple(filter(None, part)) for part in number)
+    part_names = tuple(tuple(filter(None, part)) for part in number)
     face_parts = np.array([number[part] for part in called], dtype=int)[file.face_names]
-    return Surface(file.vertices, file.faces, told, face_parts)
+    return Surface(file.vertices, file.faces, part_names, face_parts)

@@ -1,4 +1,4 @@
-"""`physkin check`: how an outfit sits on an avatar, in figures, a verdict, why, what to do about it, and a picture."""
+"""`physkin check`: say how an outfit sits on an avatar: figures, a verdict, its reason, what to do, and a picture."""
 
 from __future__ import annotations
 
@@ -123,8 +123,8 @@ def _print(report: dict) -> None:
             f"  at rest   {rest['inside_percent']:.2f} % of the cloth inside the body, {rest['deepest_mm']:.0f} mm deep"
         )
         print(
-            f"            {found['skin_shows_percent']:.2f} % of the skin shows; the upper opening stands off by "
-            f"{found['stands_off_mm']:.0f} mm"
+            f"            {found['skin_shows_percent']:.2f} % of the skin that it should cover shows; collar or waist "
+            f"{found['stands_off_mm']:.0f} mm from the skin"
         )
         print(
             f"  everyday  {everyday['inside_percent']:.2f} % inside, {everyday['deepest_mm']:.0f} mm deep, "
@@ -132,10 +132,12 @@ def _print(report: dict) -> None:
         )
     known = report["likeness"]
     print(
-        f"body: {known['shape_deviation']:.1f} standard deviations and {known['skin_distance_mm']:.0f} mm of skin from "
-        f"known bodies; {known['longest_bone']} {known['longest_ratio']:.2f} times as long; {known['pivot_bone']} "
-        f"{known['pivot_distance_mm']:.0f} mm away; {report['body_overlap_percent']:.1f} % of the skin inside the "
-        f"body; {report['hole_percent']:.2f} % of what one sees is its inside"
+        f"body: {known['shape_deviation']:.1f} standard deviations from the average adult (1 is usual), its skin "
+        f"{known['skin_distance_mm']:.0f} mm from the most similar known body\n"
+        f"      {known['longest_bone']} has {known['longest_ratio']:.2f} times that body's length, "
+        f"{known['pivot_bone']} is {known['pivot_distance_mm']:.0f} mm from that body's\n"
+        f"      {report['body_overlap_percent']:.1f} % of the skin is inside the body; holes show its inside in "
+        f"{report['hole_percent']:.2f} % of the pixels"
     )
     print(" ".join(filter(None, (f"{report['verdict']}:", report["reason"], report["advice"]))))
 

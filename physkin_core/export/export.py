@@ -1,4 +1,4 @@
-"""`physkin export`: a motion draped on an avatar, in a file that other tools open."""
+"""`physkin export`: write a motion draped on an avatar to a file that other tools open."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def command_parser() -> argparse.ArgumentParser:
         default=[],
         type=Path,
         metavar="MESH",
-        help="texture places and materials of a garment: its mesh (fit-garment's garment.obj); one for each garment",
+        help="mesh with texture coordinates and materials for a garment (fit-garment's garment.obj); once for each",
     )
     wanted = parser.add_mutually_exclusive_group(required=True)
     wanted.add_argument(
@@ -114,7 +114,7 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
     for path in paths:
         mesh = read_mesh(path)
         if not str(mesh.look):
-            raise ValueError(f"{path} has neither texture places nor materials: nothing to give a garment")
+            raise ValueError(f"{path} has neither texture coordinates nor materials: nothing to give a garment")
         templates = [layer.model.garment.vertices for layer in outfit.layers]
         apart = [closest_points(points, mesh.vertices, mesh.faces)[0].mean() for points in templates]
         k = int(np.argmin(apart))

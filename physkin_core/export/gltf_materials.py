@@ -54,7 +54,7 @@ class GltfMaterials:
             self._builder.document["extensionsUsed"] = sorted(self._extensions)
 
     def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
-        """What a material says of it. glTF has the origin of texture places at the upper left."""
+        """What a material says of it. glTF has the origin of texture coordinates at the upper left."""
         if picture not in self._pictures:
             self._pictures[picture] = self._builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
         texture = {"index": list(self._pictures).index(picture)}

@@ -61,7 +61,7 @@ def write_gltf_motion(
         if garment.shown.any():
             scene.add_garment(garment, root, colour, _of_faces(look, garment.shown), _finishes(look, garment, layer))
     write_glb(path, scene.finished())
-    return [told for garment in clip.garments for told in _not_shown(garment)]
+    return [warning for garment in clip.garments for warning in _not_shown(garment)]
 
 
 def _not_shown(garment: DrapedGarment) -> list[str]:

@@ -102,7 +102,7 @@ def _move(mesh: UsdGeom.Mesh, points: np.ndarray, frame: int) -> None:
 
 
 def _paint(mesh: UsdGeom.Mesh, look: Look | None, surfaces: Sequence[Surface], path: Path) -> None:
-    """Give a mesh its texture places, and its materials by subsets of faces."""
+    """Give a mesh its texture coordinates, and its materials by subsets of faces."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     if look is not None:

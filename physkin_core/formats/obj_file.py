@@ -1,4 +1,4 @@
-"""Wavefront OBJ: shape, texture places and what faces are called, for garments, bodies and points alike.
+"""Wavefront OBJ: shape, texture coordinates and what faces are called, for garments, bodies and points alike.
 
 Other readers split vertices at texture seams, or reorder them by material. Dimensions: `n` vertices, `f` triangles.
 """
@@ -68,7 +68,7 @@ class ObjFile:
 
 def read_obj(path: Path) -> ObjFile:
     """Read a file. Raises OSError where it cannot be opened, ContentError where it is too large, for lines that are not
-    as the format has them, and for faces and line elements at vertices or texture places that are not there."""
+    as the format has them, and for faces and line elements at vertices or texture coordinates that are not there."""
     lines = _lines(read_bytes(path, most=LARGEST_TEXT))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     line_elements: list[tuple[int, int]] = []
@@ -101,11 +101,11 @@ def read_obj(path: Path) -> ObjFile:
     uv, ends = np.array(uv, dtype=int).reshape(-1, 3), np.array(line_elements, dtype=int).reshape(-1, 2)
     for element, found, count, what in (
         ("face", corners, len(vertices), "vertices"),
-        ("face", uv, len(places), "texture places"),
+        ("face", uv, len(places), "texture coordinates"),
         ("line", ends, len(vertices), "vertices"),
     ):
         if len(found) and not (0 <= found.min() and found.max() < count):
-            raise ContentError(f"a {element} has corners at {what} that are not there; it has {count} of them")
+            raise ContentError(f"a {element} has corners at {what} that do not exist; there are {count}")
     named = np.array(face_names, dtype=int)
     shape = np.array(vertices, dtype=float).reshape(-1, 3), corners
     return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), ends, lines)
@@ -136,11 +136,13 @@ def _numbers(line: str, entries: list[str], count: int) -> list[float]:
 
 
 def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int]:
-    """Vertex, from 0, and texture place, from 1, 0 for none, of an entry of a face so far into the file."""
+    """Vertex, from 0, and texture coordinate, from 1, 0 for none, of an entry of a face so far into the file."""
     try:
         vertex, place = (int(number or 0) for number in [*entry.split("/"), ""][:2])
     except ValueError:
         raise ContentError(f"{shown(line.strip())}: {shown(entry)} is no corner") from None
     if max(abs(vertex), abs(place)) > LARGEST_INDEX:
-        raise ContentError(f"{shown(line.strip())}: {shown(entry)} is at vertices or texture places that are not there")
+        raise ContentError(
+            f"{shown(line.strip())}: {shown(entry)} refers to vertices or texture coordinates that do not exist"
+        )
     return vertex - 1 if vertex > 0 else vertices + vertex if vertex else -1, place if place >= 0 else places + place

@@ -108,7 +108,9 @@ def read_ply_header(content: bytes) -> PlyHeader:
     mark = content.find(b"end_header", 0, LONGEST_HEADER)
     end = content.find(b"\n", mark) + 1
     if not content.startswith(b"ply") or mark < 0 or end == 0:
-        raise ContentError(f"it is no PLY file, it has no header from 'ply' to 'end_header' in {LONGEST_HEADER} bytes")
+        raise ContentError(
+            f"it is not a PLY file: it has no header from 'ply' to 'end_header' in {LONGEST_HEADER} bytes"
+        )
     layout, elements = "", []
     for line in content[:mark].decode("ascii", errors="replace").splitlines():
         match line.split():

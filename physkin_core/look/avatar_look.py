@@ -28,21 +28,21 @@ log = logging.getLogger(__name__)
 
 
 def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look | None:
-    """Materials and texture places of an avatar's faces, or of some; None where its file has no materials.
+    """Materials and texture coordinates of an avatar's faces, or of some; None where its file has no materials.
 
     Base colours and their pictures are kept, and where there are none colours of vertices, as few materials; other maps
     are not. faces: (f,) a mask or indices. A look hinders nobody from draping: what cannot be read, a picture or all of
-    it, is told in the log.
+    it, is logged.
     """
     path = Path(avatar.source)
     if avatar.file_corners is None or path.suffix.lower() not in (".obj", *GLTF_SUFFIXES):
         return None
 
-    def told(text: str) -> None:
+    def warn(text: str) -> None:
         log.warning("%s", sentence(f"avatar {path}: {text}"))
 
     try:
-        look = _obj_look(path, told) if path.suffix.lower() == ".obj" else _gltf_look(path, told)
+        look = _obj_look(path, warn) if path.suffix.lower() == ".obj" else _gltf_look(path, warn)
         if not look.materials:
             return None
         with reading(f"avatar {path}", AvatarError):  # it may have changed since
@@ -52,11 +52,11 @@ def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look
         return None
 
 
-def _obj_look(path: Path, told: Callable[[str], None]) -> Look:
-    return readable(read_mesh(path).look, lambda text: told(f"left out of its materials: {text}"))
+def _obj_look(path: Path, warn: Callable[[str], None]) -> Look:
+    return readable(read_mesh(path).look, lambda text: warn(f"left out of its materials: {text}"))
 
 
-def _gltf_look(path: Path, told: Callable[[str], None]) -> Look:
+def _gltf_look(path: Path, warn: Callable[[str], None]) -> Look:
     with reading(f"avatar {path}", AvatarError):
         file = GltfFile(path)
-        return gltf_look(file, drawn_primitives(file), told)
+        return gltf_look(file, drawn_primitives(file), warn)

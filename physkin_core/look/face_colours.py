@@ -34,7 +34,7 @@ def avatar_colours(avatar: Avatar) -> np.ndarray | None:
 
 def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
     """(f, 3) sRGB in [0, 1] of a look's faces. colour: sRGB, of faces without a material. A damaged picture is left out
-    and told in the log."""
+    and logged."""
     found = np.empty((len(look.material), 3))
     for surface in surfaces_of(look, "plain", linear(colour), len(found)):
         found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
@@ -42,7 +42,7 @@ def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
 
 
 def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
-    """(k, 3) linear RGB of faces with texture places (k, 3, 2); ones without a picture."""
+    """(k, 3) linear RGB of faces with texture coordinates (k, 3, 2); ones without a picture."""
     if surface.picture is None:
         return np.ones((len(uv), 3))
     pillow()

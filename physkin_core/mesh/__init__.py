@@ -1,1 +1,1 @@
-"""Meshes with their look: texture places, materials, pictures and parts, of garments and avatars alike."""
+"""Meshes with their look: texture coordinates, materials, pictures and parts, of garments and avatars alike."""

@@ -23,9 +23,9 @@ MOST_PAINTED = 32
 TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
 
 
-def gltf_look(file: GltfFile, drawn: Iterable[Drawn], told: Callable[[str], None]) -> Look:
+def gltf_look(file: GltfFile, drawn: Iterable[Drawn], warn: Callable[[str], None]) -> Look:
     """Of all triangles of the scene (F,), in the order of `drawn_primitives`. Other maps than base colours are left
-    out. told: of each picture that cannot be read. Raises ContentError."""
+    out. warn: called with the reason for each picture that cannot be read. Raises ContentError."""
     library, places, materials = MaterialLibrary(), [], []
     number: dict[int, int] = {}
     for each in drawn:
@@ -36,7 +36,7 @@ def gltf_look(file: GltfFile, drawn: Iterable[Drawn], told: Callable[[str], None
             materials.append(_add_painted(library, painted))
             continue
         if material is not None and index not in number:
-            number[index] = _add_material(library, file, material, index, told)
+            number[index] = _add_material(library, file, material, index, warn)
         materials.append(np.full(len(each.faces), -1 if material is None else number[index]))
     count = sum(map(len, materials))
     return Look(
@@ -53,7 +53,7 @@ def texture_places(file: GltfFile, drawn: Drawn, material: GltfEntry | None) -> 
     found = file.attribute(drawn.primitive, f"TEXCOORD_{channel}")
     if found is None:
         return np.full((len(drawn.positions), 2), np.nan)
-    _check_rows("texture places", found, drawn, (2,))
+    _check_rows("texture coordinates", found, drawn, (2,))
     found = found * (transform.numbers("scale", 2) or (1, 1)) + (transform.numbers("offset", 2) or (0, 0))
     return found * [1, -1] + [0, 1]
 
@@ -95,7 +95,7 @@ def base_picture(material: GltfEntry) -> GltfEntry | None:
 
 
 def _add_material(
-    library: MaterialLibrary, file: GltfFile, material: GltfEntry, index: int, told: Callable[[str], None]
+    library: MaterialLibrary, file: GltfFile, material: GltfEntry, index: int, warn: Callable[[str], None]
 ) -> int:
     """Its number in the library; materials of one name are told apart."""
     name = library.plain_name(material.text("name") or f"material_{index}")
@@ -106,7 +106,7 @@ def _add_material(
         try:
             content = _readable(picture_content(file, texture))
         except ContentError as error:
-            told(f"material {name!r} is shown without its picture: {error}")
+            warn(f"material {name!r} is shown without its picture: {error}")
     suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
     return library.add(name, _base_colour(material), content, suffix=suffix)
 

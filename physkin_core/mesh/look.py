@@ -48,7 +48,7 @@ class Look:
 
     @classmethod
     def with_places(cls, uv: np.ndarray) -> Look:
-        """Of a mesh that has texture places (f, 3, 2) alone."""
+        """Of a mesh that has texture coordinates (f, 3, 2) alone."""
         return replace(cls.plain(len(uv)), uv=uv)
 
     def on(self, source: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> Look:

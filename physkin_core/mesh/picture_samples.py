@@ -1,4 +1,4 @@
-"""A picture looked at where faces have their texture places.
+"""A picture looked at where faces have their texture coordinates.
 
 Dimensions: `k` faces.
 """

@@ -1,7 +1,9 @@
-"""Materials of a look: the faces that each covers, its colour and pictures; and texture places one a vertex.
+"""Materials of a look: the faces that each covers, its colour and pictures; and texture coordinates one a vertex.
 
-A texture has seams where cloth and skin have none. Files of one texture place a vertex get such vertices twice; both
-are skinned alike, so that nothing opens. Dimensions: `f` faces, `v` vertices, `w` of them with repetitions.
+A texture has seams where cloth and skin have none. In files with one texture coordinate for each vertex, such vertices
+are repeated and skinned alike, so that nothing opens.
+
+Dimensions: `f` faces, `v` vertices, `w` of them with repetitions.
 """
 
 from __future__ import annotations
@@ -46,9 +48,9 @@ class Picture:
 @dataclass(frozen=True)
 class Surface:
     """A material. colour: (3,) linear RGB in [0, 1], which multiplies the picture's. faces: (k,) those that have it.
-    repeats: how often the picture is there along a unit of either texture place, which is a metre on a garment that was
-    cut flat; the origin is where one begins. normals: picture of normals in the frame of the texture, green upwards,
-    with repeats of its own. roughness, sheen: from 0 to 1, as in glTF. blended: by the picture's opacity."""
+    repeats: how often the picture is repeated in a unit of either texture coordinate (a metre on a garment that was cut
+    flat), from the origin on. normals: picture of normals in the frame of the texture, green upwards, with repeats of
+    its own. roughness, sheen: from 0 to 1, as in glTF. blended: by the picture's opacity."""
 
     name: str
     colour: tuple[float, ...]
@@ -79,8 +81,8 @@ def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: 
     return found
 
 
-def readable(look: Look, told: Callable[[str], None]) -> Look:
-    """The look without those lines of its material library that `surfaces_of` would refuse; why is told of each."""
+def readable(look: Look, warn: Callable[[str], None]) -> Look:
+    """The look without those lines of its material library that `surfaces_of` would refuse. warn: gets reasons."""
     kept, begun, named, own = [], b"", set(look.materials), ()
     for line in look.files.get(LIBRARY, b"").splitlines(keepends=True):
         if line.split()[:1] == [b"newmtl"]:
@@ -89,12 +91,12 @@ def readable(look: Look, told: Callable[[str], None]) -> Look:
             _materials(replace(look, materials=own, files={**look.files, LIBRARY: begun + line}))
             kept.append(line)
         except ValueError as error:
-            told(str(error))
+            warn(str(error))
     return replace(look, files={**look.files, LIBRARY: b"".join(kept)})
 
 
 def split_at_seams(look: Look, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One texture place a vertex: which vertex each is (w,), its place (w, 2) with the origin at the lower left, 0
+    """One texture coordinate a vertex: which vertex each is (w,), its place (w, 2) with the origin at the lower left, 0
     where there is none, and faces (f, 3) of these."""
     corners = np.column_stack([faces.reshape(-1), np.nan_to_num(look.uv).reshape(-1, 2).round(6)])
     unique, split = np.unique(corners, axis=0, return_inverse=True)
@@ -122,37 +124,37 @@ def _materials(look: Look) -> dict[str, Surface]:
     return found
 
 
-def _material_name(told: str) -> str:
-    """As `usemtl` is read. told: what follows the keyword."""
-    return " ".join(told.split())
+def _material_name(text: str) -> str:
+    """As `usemtl` is read. text: what follows the keyword."""
+    return " ".join(text.split())
 
 
-def _shares(material: str, what: str, told: str, count: int) -> tuple[float, ...]:
-    """One number or three from 0 to 1. told: what follows the keyword."""
+def _shares(material: str, what: str, text: str, count: int) -> tuple[float, ...]:
+    """One number or three from 0 to 1. text: what follows the keyword."""
     try:
-        shares = tuple(float(value) for value in told.split()[:count])
+        shares = tuple(float(value) for value in text.split()[:count])
     except ValueError:
         shares = ()
     if len(shares) != count or not all(0 <= share <= 1 for share in shares):
         numbers = "three numbers" if count > 1 else "a number"
         raise ValueError(
-            f"the {what} of material {shown(material)} must be {numbers} from 0 to 1, got {shown(told.strip())}"
+            f"the {what} of material {shown(material)} must be {numbers} from 0 to 1, got {shown(text.strip())}"
         )
     return shares
 
 
 def _picture(look: Look, material: str, named: str) -> tuple[Picture, str]:
     """named: what follows the keyword, a file name after options. Returns the options, too."""
-    told = " " + " ".join(named.split())
+    text = " " + " ".join(named.split())
     names = {each: " " + " ".join(each.split()) for each in look.files}
-    name = max((each for each in names if told.endswith(names[each])), key=len, default=None)
+    name = max((each for each in names if text.endswith(names[each])), key=len, default=None)
     if name is None:
         raise ValueError(f"the picture of material {shown(material)} is missing: {shown(named.strip())}")
     content = look.files[name]
     kind = picture_kind(content)
     if kind is None:
         raise ValueError(f"the picture of material {shown(material)}, {shown(name)}, must be PNG or JPEG")
-    return Picture(name, content, kind), told.removesuffix(names[name])
+    return Picture(name, content, kind), text.removesuffix(names[name])
 
 
 def _repeats(material: str, options: str) -> tuple[float, float]:

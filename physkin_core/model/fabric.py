@@ -102,7 +102,7 @@ def split_colour(text: str) -> tuple[str, tuple[float, float, float] | None]:
     if not fabric and not _is_colour(text):
         return text, None
     if colour not in COLOURS and not re.fullmatch("#([0-9a-fA-F]{3}){1,2}", colour):
-        raise ValueError(f"no colour {shown(colour)}; allowed: #rgb, #rrggbb, {', '.join(COLOURS)}")
+        raise ValueError(f"unknown colour {shown(colour)}; allowed: #rgb, #rrggbb, {', '.join(COLOURS)}")
     digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
     red, green, blue = COLOURS[colour] if colour in COLOURS else bytes.fromhex(digits)
     return fabric, (red / 255, green / 255, blue / 255)
@@ -127,7 +127,7 @@ def parse_fabric(text: str) -> dict[str, float]:
     values = dict(pairs)
     if not pairs or len(values) < len(pairs) or not values.keys() <= KEYS:
         raise ValueError(
-            f"no fabric {shown(text)}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
+            f"unknown fabric {shown(text)}; allowed: {', '.join(FABRICS)}, or numbers, each once, as in "
             "stretch=120+bend=3e-5+density=0.2"
         )
     replace(JERSEY, **values)  # checks them
@@ -175,8 +175,8 @@ def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
     material = model.material
     if not model.hyper_modulator["bend"].any() or not material.bending:
         raise ValueError(
-            f"garment model {model.name!r} is of another fabric already, take the model as it was trained; or it has "
-            "learnt no bending, train it with optimisation.other_bending"
+            f"garment model {model.name!r} cannot be made of another fabric: it is of another one already (take "
+            "the model as it was trained), or has not learnt bending (train it with optimisation.other_bending)"
         )
     fabric = _fabric_for(fabric, model) if isinstance(fabric, str) else fabric
     stretch = fabric.stretch / material.youngs_modulus

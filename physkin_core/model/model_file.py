@@ -21,7 +21,7 @@ from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.formats.deflated_tensors import deflate_tensors, inflate_tensors
 from physkin_core.formats.packed_weights import pack_weight, unpack_weights
 from physkin_core.model.fabric import with_fabric
-from physkin_core.model.faces_of_panels import told_by_panels, with_faces
+from physkin_core.model.faces_of_panels import with_faces, without_faces
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.model_arrays import Array, GarmentModelError, described_arrays, read_described
@@ -124,7 +124,7 @@ def _contents(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, np.
         ) from error
     if metadata.get("format") != FORMAT:
         raise ContentError(
-            f"its format is {shown(metadata.get('format'))}, expected {FORMAT!r}: it is no garment model"
+            f"its format is {shown(metadata.get('format'))}, expected {FORMAT!r}: it is not a garment model"
         )
     version = metadata.get("schema_version", "")
     if not re.fullmatch("[1-9][0-9]{0,8}", version):
@@ -227,7 +227,7 @@ def convert_model_file(old: str | Path, new: str | Path) -> None:
 def _write(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
     """Write a file of this schema version in one step, with a digest that fits."""
     texts = {f"{key}.json": np.frombuffer(metadata[key].encode(), np.uint8) for key in TEXTS}
-    deflated, stored = deflate_tensors(texts | told_by_panels(tensors))
+    deflated, stored = deflate_tensors(texts | without_faces(tensors))
     others = {key: text for key, text in metadata.items() if key not in TEXTS}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_tensors(path, {**others, **deflated, "schema_version": str(SCHEMA_VERSION)}, stored)

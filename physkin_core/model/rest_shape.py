@@ -27,9 +27,9 @@ SMALLEST_AREA = 1e-12
 MOST_STRETCHED = 3.0
 """A face's area in the mesh and on the flat cloth differ by this factor at most: a gather's."""
 IN_METRES = 0.8, 1.25
-"""Median length of edges on the flat cloth, in times that in the mesh, where texture places are in metres."""
+"""Median length of edges on the flat cloth, in times that in the mesh, where texture coordinates are in metres."""
 FINEST = 7
-"""Digits [m] in which texture places of one vertex are told apart."""
+"""Digits [m] in which texture coordinates of one vertex are told apart."""
 ALIKE, SHARE_ALIKE = 2.0, 0.95
 """So many faces of such a texture differ in area by this factor at most."""
 
@@ -119,15 +119,15 @@ def panel_fault(places: np.ndarray, panel_faces: np.ndarray, areas: np.ndarray) 
 def panels_of_texture(
     vertices: np.ndarray, faces: np.ndarray, areas: np.ndarray, uv: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray] | None, str]:
-    """Panel places (t, 2) and faces (f, 3) of a mesh whose texture places `uv` (f, 3, 2) are those of flat cloth in
-    metres, else None; and what was found, in words. A vertex has a place for each panel that it is on.
+    """Panel places (t, 2) and faces (f, 3) of a mesh whose texture coordinates `uv` (f, 3, 2) are flat cloth in metres,
+    else None; and what was found, in words. A vertex has a place for each panel that it is on.
 
     They are where the median edge is as long as in the mesh (0.8 to 1.25 times), 95 % of the faces are as large (up to
     a factor of 2, all up to 3) and none is turned over.
     """
     if not np.isfinite(uv).all():
         lacking = int((~np.isfinite(uv).all(axis=(1, 2))).sum())
-        return None, "no texture places" if lacking == len(uv) else f"{lacking} faces have no texture places"
+        return None, "no texture coordinates" if lacking == len(uv) else f"{lacking} faces have no texture coordinates"
     corners = np.column_stack([faces.reshape(-1), uv.reshape(-1, 2).round(FINEST)])
     unique, place = np.unique(corners, axis=0, return_inverse=True)
     places, panel_faces = np.ascontiguousarray(unique[:, 1:]), place.reshape(faces.shape)
@@ -136,14 +136,20 @@ def panels_of_texture(
         times = float(np.median(sides[0] / sides[1]))
         fault = panel_fault(places, panel_faces, areas)
     if not IN_METRES[0] <= times <= IN_METRES[1]:
-        return None, f"texture places are not in metres: the median edge is {times:.3g} times as long as in the mesh"
+        return (
+            None,
+            f"texture coordinates are not in metres: the median edge is {times:.3g} times as long as in the mesh",
+        )
     if fault:
-        return None, f"texture places are no flat cloth: {fault}"
+        return None, f"texture coordinates are no flat cloth: {fault}"
     ratio = np.abs(flat_areas(uv)) / areas
     alike = float((np.maximum(ratio, 1 / ratio) <= ALIKE).mean())
     if alike < SHARE_ALIKE:
         return None, (
-            f"texture places are no flat cloth: {100 * alike:.0f} % of the faces have the area that they have in the "
-            f"mesh, up to a factor of {ALIKE:g}"
+            f"texture coordinates are not flat cloth: {100 * alike:.0f} % of the faces have the area that they have in "
+            f"the mesh, up to a factor of {ALIKE:g}"
         )
-    return (places, panel_faces), f"texture places in metres, the median edge {times:.3g} times as long as in the mesh"
+    return (
+        places,
+        panel_faces,
+    ), f"texture coordinates in metres, the median edge {times:.3g} times as long as in the mesh"

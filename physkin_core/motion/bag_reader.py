@@ -202,6 +202,6 @@ def bag_errors(path: Path):
         try:
             yield
         except (ReaderError, WriterError, apsw.Error) as error:
-            told = str(error) or type(error).__name__
-            remedy = next((f" {what_to_do}" for said, what_to_do in REMEDIES.items() if said in told), "")
-            raise ContentError(f"{told}{remedy}") from error
+            text = str(error) or type(error).__name__
+            remedy = next((f" {what_to_do}" for said, what_to_do in REMEDIES.items() if said in text), "")
+            raise ContentError(f"{text}{remedy}") from error

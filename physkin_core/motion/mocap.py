@@ -212,7 +212,9 @@ def find_joints(skeleton: Skeleton) -> dict[str, int]:
         for upper, middle, end in CHAINS:
             limb = [found[f"{part}.{side}"] for part in (upper, middle, end)]
             if not set(limb) <= set(skeleton.ancestors(limb[-1])) or limb != sorted(limb):
-                raise ContentError(f"joints {', '.join(names[k] for k in limb)} are no limb: one must carry the next")
+                raise ContentError(
+                    f"joints {', '.join(names[k] for k in limb)} are not a limb: each must be the parent of the next"
+                )
     found["root"] = _branching(skeleton, found["hip.L"], found["hip.R"])
     found["chest"] = _branching(skeleton, found["shoulder.L"], found["shoulder.R"])
     while plain[found["chest"]].startswith("neck"):  # 3ds Max's bipeds hang their collarbones on it

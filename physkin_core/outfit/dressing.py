@@ -136,7 +136,7 @@ def _tucked_in(under: Layer, over: Layer) -> Layer:
     """The one layer as it is worn tucked into the other."""
     depth = _depths(under, over)
     if depth is None:
-        raise ValueError(f"{under.name!r} cannot be tucked into {over.name!r}: it does not go over its waistband")
+        raise ValueError(f"{under.name!r} cannot be tucked into {over.name!r}: it does not reach that waistband")
     if depth.max() > DEEPEST_TUCK:
         raise ValueError(
             f"{under.name!r} cannot be tucked into {over.name!r}: it reaches {100 * depth.max():.0f} cm below the "

@@ -58,7 +58,7 @@ def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -
 
 def add_rig_option(parser: argparse.ArgumentParser) -> None:
     """Add `--rig`."""
-    parser.add_argument("--rig", metavar="FILE", help="rig file of a body that has no skin of its own")
+    parser.add_argument("--rig", metavar="FILE", help="rig file for a body without skinning weights")
 
 
 def add_own_clothes_option(parser: argparse.ArgumentParser) -> None:
@@ -67,7 +67,8 @@ def add_own_clothes_option(parser: argparse.ArgumentParser) -> None:
         "--own-clothes",
         choices=OWN_CLOTHES,
         default=OWN_CLOTHES[0],
-        help="clothes that the avatar wears already: gone where garments replace them (default), all gone, or all kept",
+        help="clothes that the avatar wears already: replaced where garments cover them (default), all hidden, or all "
+        "kept",
     )
 
 
@@ -77,7 +78,7 @@ def add_fit_option(parser: argparse.ArgumentParser) -> None:
         "--fit",
         type=float,
         metavar="F",
-        help="1: made to measure, 0: one size, or between (default: 1; 0 for another rig than the body model's)",
+        help="1: made to measure, 0: one size, or between (default: 1; 0 with a rig other than the body model's)",
     )
 
 
@@ -87,8 +88,8 @@ def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) 
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help=f"a file or a shipped name (default {default}), of another fabric and colour as in skirt:denim:navy; "
-        "several, from the skin outwards, are an outfit",
+        help=f"a shipped name or a file (default {default}); fabric and colour may follow, as in skirt:denim:navy. "
+        "Repeat it for an outfit, from the skin outwards",
     )
 
 
@@ -99,7 +100,7 @@ def add_tucked_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODEL",
-        help="garment whose hem is under the next one's waistband",
+        help="garment to tuck into the waistband of the next one",
     )
 
 
@@ -125,7 +126,7 @@ def add_wind_option(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=(0.0, 0.0, 0.0),
         metavar=("X", "Y", "Z"),
-        help="velocity of the air [m/s] in the motion's world, Z up, at most 13 long (default: still air)",
+        help="velocity of the air in the motion's world, Z up, at most 13 m/s (default: still air)",
     )
 
 

@@ -1,4 +1,4 @@
-"""`physkin bind-points`: a finer mesh, a point cloud or Gaussian splats of a trained garment, draped as it is."""
+"""`physkin bind-points`: drape a finer mesh, a point cloud or Gaussian splats with a trained garment."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ __all__ = ["command_parser", "main"]
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin bind-points`."""
     parser = argparse.ArgumentParser(prog="physkin bind-points", description=__doc__.split("`: ")[1])
-    told = "garment model: a file or a shipped name, of another fabric as in skirt:denim"
-    parser.add_argument("garment", metavar="GARMENT", help=told)
+    text = "garment model: a file or a shipped name, of another fabric as in skirt:denim"
+    parser.add_argument("garment", metavar="GARMENT", help=text)
     kinds = ", ".join(POINT_FILES)
-    parser.add_argument("points", metavar="POINTS", type=Path, help=f"what lies where the garment's mesh lies: {kinds}")
+    parser.add_argument("points", metavar="POINTS", type=Path, help=f"points that lie on the garment's mesh: {kinds}")
     add_avatar_options(parser)
     add_fit_option(parser)
     parser.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
@@ -37,7 +37,9 @@ def command_parser() -> argparse.ArgumentParser:
     frames.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     frames.add_argument("--all", action="store_true", help="every frame: x.ply becomes x_0000.ply, ...")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="metres a unit of POINTS (default 1)")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, metavar="S", help="size of a unit of POINTS in metres (default 1)"
+    )
     parser.add_argument("--up", metavar="AXIS", help="axis of POINTS that is up (default: Z; Y for .glb)")
     parser.add_argument(
         "--forward",

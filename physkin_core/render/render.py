@@ -1,4 +1,4 @@
-"""`physkin render`: a motion draped on an avatar, as a film or numbered pictures."""
+"""`physkin render`: film a motion draped on an avatar, or write numbered pictures."""
 
 from __future__ import annotations
 

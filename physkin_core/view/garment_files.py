@@ -16,11 +16,11 @@ LOOK_EVERY = 1.0
 
 
 class GarmentFiles:
-    """Looks after the files of what a state shows, in a thread of its own. told: what is called once garments were put
+    """Looks after the files of what a state shows, in a thread of its own. on_change: called once garments were put
     on again, with None, or with the error that kept them from it."""
 
-    def __init__(self, state: SceneState, told: Callable[[Exception | None], None]) -> None:
-        self._state, self._told = state, told
+    def __init__(self, state: SceneState, on_change: Callable[[Exception | None], None]) -> None:
+        self._state, self._on_change = state, on_change
         self._seen: dict[Path, int] = {}
         self._end = Event()
         self.look()
@@ -44,6 +44,6 @@ class GarmentFiles:
             try:
                 if self.look():
                     self._state.wear(self._state.garments, tucked=self._state.tucked)
-                    self._told(None)
+                    self._on_change(None)
             except (ValueError, OSError) as error:
-                self._told(error)
+                self._on_change(error)

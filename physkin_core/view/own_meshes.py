@@ -52,7 +52,7 @@ class OwnMeshes:
         model = Path(f"{mesh.stem}.safetensors")
         again = f"physkin {' '.join(_command(mesh, model, made_on))} --resume"
         if model.exists():
-            print(f"{model} of {mesh} is there and worn; this trains it on: {again}", flush=True)
+            print(f"{model} of {mesh} exists already and is worn; to train it further: {again}", flush=True)
             return model
         program = [sys.executable, "-m", "physkin_core.cli", *_command(mesh, model, made_on)]
         trained = self._trained[mesh] = subprocess.Popen(program, start_new_session=True)
@@ -61,7 +61,7 @@ class OwnMeshes:
             if trained.poll() is not None:
                 raise ValueError(f"{mesh} cannot be worn: physkin fit-garment ended with status {trained.returncode}")
             time.sleep(LOOK_EVERY)
-        print(f"{mesh} trains as long as this runs; this goes on with it: {again}", flush=True)
+        print(f"{mesh} is trained while this command runs; to continue later: {again}", flush=True)
         return model
 
     def close(self) -> None:

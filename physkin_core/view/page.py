@@ -124,10 +124,10 @@ class Page:
 
     def report(self, error: Exception) -> None:
         """Show an error that was raised: bad input by its sentence, anything else by its kind too, and in the log."""
-        told = isinstance(error, ValueError | OSError | PictureError)
-        if not told:
+        expected = isinstance(error, ValueError | OSError | PictureError)
+        if not expected:
             log.exception("an error on the page", exc_info=error)
-        text = str(error) if told else f"{type(error).__name__}: {error}"
+        text = str(error) if expected else f"{type(error).__name__}: {error}"
         self.notice("That did not work", sentence(text), kind="error")
 
     def run(self, tick: Callable[[float], None]) -> None:
@@ -135,17 +135,17 @@ class Page:
 
         Its errors are reported, one that comes again and again only once.
         """
-        last, told = time.perf_counter(), ""
+        last, reported = time.perf_counter(), ""
         due = last
         try:
             while not self._ended.is_set():
                 now = time.perf_counter()
                 try:
                     tick(now - last)
-                    told = ""
+                    reported = ""
                 except Exception as error:  # whatever it is, the page goes on
-                    if repr(error) != told:
-                        told = repr(error)
+                    if repr(error) != reported:
+                        reported = repr(error)
                         self.report(error)
                 last, due = now, max(due + 1 / FRAMES_A_SECOND, now)
                 self._ended.wait(max(0.0, due - time.perf_counter()))

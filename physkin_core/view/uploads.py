@@ -76,7 +76,7 @@ class Uploads:
         it has replaced. Raises ValueError for a name that is none."""
         plain = Path(name.replace("\\", "/")).name
         if plain in ("", ".", "..") or "\0" in plain:
-            raise ValueError(f"{shown(name)} is no name of a file; rename it")
+            raise ValueError(f"{shown(name)} is not a file name; rename it")
         path, before = self._kept / plain, self._coming / f"before{next(self._numbers)}"
         if path.exists():
             os.replace(path, before)
@@ -133,7 +133,7 @@ class Uploads:
         if message.part_index != arriving.part - 1 or received > arriving.size or (whole and received < arriving.size):
             self._drop(message.transfer_uuid)
             self._acknowledge(message, arriving.size, arriving.size)
-            raise ValueError(f"{shown(arriving.name)} did not come as it was announced; send it again")
+            raise ValueError(f"{shown(arriving.name)} did not arrive as announced; send it again")
         arriving.file.write(message.content)
         self._acknowledge(message, received, arriving.size)
         if whole:

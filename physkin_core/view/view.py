@@ -1,4 +1,4 @@
-"""`physkin view`: an avatar and its outfit, live on a page in the browser."""
+"""`physkin view`: show an avatar and its outfit live, on a page in the browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from physkin_core.view.page import Page
 __all__ = ["begin", "command_parser", "end_at_sigterm", "main"]
 
 WORN = ("trousers", "tshirt")
-"""Unless told otherwise, from the skin outwards."""
+"""By default, from the skin outwards."""
 TIDIES_WITHIN = 5
 """[s] Then the system ends it."""
 ROS_PAGE = "physkin_ros.tools.view"
@@ -68,13 +68,13 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
     page = Page(host=options.host, port=options.port)
     viewer = Viewer(page, state, motion=motion)
 
-    def told(error: Exception | None) -> None:
+    def report_change(error: Exception | None) -> None:
         if error is None:
-            page.notice("New garments", "A garment file was written anew, and is worn.")
+            page.notice("New garments", "A garment file has changed, and is worn.")
         else:
             page.report(error)
 
-    files = GarmentFiles(state, told)
+    files = GarmentFiles(state, report_change)
     try:
         begin(page, browser=not options.no_browser)
         page.run(viewer.tick)

@@ -93,7 +93,7 @@ class Viewer:
         try:
             self._ask_and_answer()
         except BrokenProcessPool:
-            log.warning("the process that looks at contact was ended; another one begins")
+            log.warning("the process that measures contact has ended; another one is started")
             self._process.restart()
             self._looked_at, self._look_at = None, perf_counter()
         except Exception:

@@ -98,7 +98,7 @@ class _Writing:
             return [self.say(each) for each in value]
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
-                raise CodecError("a mapping's keys must be texts")
+                raise CodecError("a mapping's keys must be strings")
             return {"mapping": {key: self.say(each) for key, each in value.items()}}
         if isinstance(value, np.generic):
             return self.say(value.item())

@@ -100,7 +100,9 @@ class JointStateWire:
 def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Layout:
     order = ORDER.get(data[1]) if len(data) >= 16 and data[0] == 0 else None
     if order is None:
-        raise JointStateError(f"the message is no joint state: {len(data)} bytes that start with {data[:4].hex(' ')}")
+        raise JointStateError(
+            f"the message is not a joint state: {len(data)} bytes that start with {data[:4].hex(' ')}"
+        )
     length = struct.Struct(f"{order}I")
     at = 12
     padding = [slice(4, 12)]  # and the stamp

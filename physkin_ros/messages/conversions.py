@@ -110,10 +110,10 @@ def read_cloud(message) -> np.ndarray:
 
 
 def body_covered(outfit: Outfit, index: int) -> np.ndarray:
-    """(F,) bool, the body's faces that an outfit covers, told with its innermost garment; empty with others, and where
+    """(F,) bool, faces of the body that an outfit covers, sent with its innermost garment; empty with others, and where
     one garment is worn."""
-    told = index == 0 and len(outfit.layers) > 1
-    return outfit.body_mask if told else np.empty(0, dtype=bool)
+    sent = index == 0 and len(outfit.layers) > 1
+    return outfit.body_mask if sent else np.empty(0, dtype=bool)
 
 
 def garment_mesh(outfit: Outfit, index: int, frame_id: str, *, revision: int = 1, avatar: str = ""):

@@ -81,7 +81,7 @@ class FollowingSubscription:
             return
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self._node.get_logger().warning(
-            f"{self.topic}: nothing will come from a publisher whose {policy} does not go with what is asked for"
+            f"{self.topic}: nothing will come from a publisher whose {policy} is incompatible with what is requested"
         )
 
     def _open_best_effort(self) -> None:

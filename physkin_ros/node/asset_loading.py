@@ -65,7 +65,7 @@ class AssetRoots:
         try:
             resolved = Path(path).resolve()
         except RuntimeError as error:  # up to Python 3.12; later ones find no file there
-            raise AssetError(f"{path}: links lead round in a circle") from error
+            raise AssetError(f"{path}: its links form a loop") from error
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
             allowed = ", ".join(map(str, self.folders)) or "nothing but shipped garments and the bundled avatar"
             raise AssetError(f"{path} lies outside the parameter asset_roots; allowed: {allowed}")

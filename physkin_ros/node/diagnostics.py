@@ -158,7 +158,7 @@ class Health:
         rejected = new["rejected"] + new["gravity_rejected"] + new["wind_rejected"]
         troubles = (
             (rejected, f"{rejected} messages rejected: {counts.last_rejection}"),
-            (new["swaps_failed"], f"swap failed, the old one goes on: {counts.last_error}"),
+            (new["swaps_failed"], f"swap failed, the old one stays on: {counts.last_error}"),
             (new["implausible"], f"{new['implausible']} joint states look like degrees: {counts.last_implausible}"),
             (new["not_ready"], f"{new['not_ready']} joint states came before the garment was ready"),
             (new["missing"], f"{new['missing']} joint states are missing, by the gaps in their stamps"),

@@ -322,7 +322,7 @@ class DrapeNode(LifecycleNode):
                     self.get_logger().info(f"{body}: the body is gone")
             for body in came:
                 if body in self._streams:
-                    self.get_logger().warning(f"{body}: a body of this id is dressed already; it is passed over")
+                    self.get_logger().warning(f"{body}: a body of this id is dressed already; this one is ignored")
                     continue
                 stream = self._open(_settings_for(template, body))
                 stream.listen()
@@ -390,7 +390,7 @@ class DrapeNode(LifecycleNode):
         if stream is not None:
             stream.statistics.fail_swap(reason)
         if self.context.ok():  # else a signal has ended it
-            self.get_logger().error(f"swap failed, the old one goes on: {reason}")
+            self.get_logger().error(f"swap failed, the old one stays on: {reason}")
         return reason
 
     def _tell_leftovers(self) -> None:

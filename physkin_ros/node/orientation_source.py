@@ -52,9 +52,10 @@ class OrientationSource:
         self._frames = avatar.frame_id, avatar.world_frame
         self._subscriptions: list[FollowingSubscription] = []
         self._root = RootOrientation(on_gravity, self._move, imu_delay=avatar.imu_delay)
-        self._told_until = 0  # [ns], monotonic: whoever tells effective gravity knows better than we
+        self._received_until = 0  # [ns], monotonic: until then effective gravity as received counts
         self._broadcaster = None
-        self._listen(Vector3Stamped, avatar.effective_gravity_topic or EFFECTIVE_GRAVITY.of(avatar.id), self._on_told)
+        topic = avatar.effective_gravity_topic or EFFECTIVE_GRAVITY.of(avatar.id)
+        self._listen(Vector3Stamped, topic, self._on_effective_gravity)
         kinds = {
             "gravity": (Vector3Stamped, self._root.direction),
             "pose": (PoseStamped, self._on_pose),
@@ -93,12 +94,12 @@ class OrientationSource:
         if self._broadcaster is not None:
             self._broadcaster.close()
 
-    def _on_told(self, message: Vector3Stamped) -> None:
+    def _on_effective_gravity(self, message: Vector3Stamped) -> None:
         vector = np.array(vector_of(message.vector))
         if not np.linalg.norm(vector) <= LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:
             allowed = f"(3,), finite, up to {LARGEST_EFFECTIVE_GRAVITY * STANDARD_GRAVITY:.1f} m/s2 long"
             raise ValueError(f"effective_gravity must be {allowed}, got {vector.tolist()}")
-        self._told_until = monotonic_ns() + FRESH
+        self._received_until = monotonic_ns() + FRESH
         self._on_motion(EffectiveGravity(vector), stamp_of(message))
 
     def _on_pose(self, message: PoseStamped) -> None:
@@ -126,7 +127,7 @@ class OrientationSource:
             self._on_bad(reason)
 
     def _move(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
-        if monotonic_ns() > self._told_until:
+        if monotonic_ns() > self._received_until:
             self._on_motion(motion, stamp_ns)
 
     def _listen(self, kind: type, topic: str, take: Callable[..., None]) -> None:

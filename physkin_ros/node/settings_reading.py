@@ -166,7 +166,7 @@ def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[G
     """The garments of a node without avatars: one, or several, with topics named after the models it starts with."""
     models = model_names(garment.model)
     if any(layers):
-        raise SettingsError("parameter layers is for avatars; without, garments are worn in the order of model")
+        raise SettingsError("parameter layers is only for avatars; otherwise garments are worn in the order of model")
     if not all(models):
         raise SettingsError(f"parameter model is {garment.model!r}; allowed: models joined by commas")
     if len(models) == 1:

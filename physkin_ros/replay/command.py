@@ -116,7 +116,9 @@ def _draper(options: argparse.Namespace) -> Draper:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin replay`."""
-    parser = argparse.ArgumentParser(prog="physkin replay", description=__doc__.splitlines()[0], epilog=LIVE)
+    parser = argparse.ArgumentParser(
+        prog="physkin replay", description=__doc__.split("`: ", 1)[1].splitlines()[0], epilog=LIVE
+    )
     parser.add_argument(
         "bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file; or a folder of such bags"
     )
@@ -125,35 +127,54 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
     )
-    parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
+    parser.add_argument("--topic", help="topic of joint states (default /joint_states, or the only one)")
     parser.add_argument(
         "--orientation",
         choices=tuple(ORIENTATIONS),
         default="gravity",
-        help="what tells where the root is, and so how cloth swings (default %(default)s: a direction alone)",
+        help="source of where down is and how the root moves (default %(default)s: a direction only)",
     )
-    parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
+    parser.add_argument(
+        "--gravity-topic", help="topic of the direction of gravity (default /gravity, if the bag has it)"
+    )
     parser.add_argument(
         "--orientation-topic",
         metavar="TOPIC",
-        help="of a pose, odometry or IMU (default /pose, /odom, /imu, or the only one)",
+        help="topic of a pose, odometry or IMU (default /pose, /odom, /imu, or the only one)",
     )
     parser.add_argument("--world-frame", metavar="FRAME", help=f"upright frame of TF (default {WORLD})")
     add_sway_option(parser)
-    parser.add_argument("--gravity", type=float, nargs=3, default=UPRIGHT_GRAVITY.tolist(), metavar=("X", "Y", "Z"))
-    parser.add_argument("--precision", choices=PRECISIONS, help="of the network weights (default int8)")
+    parser.add_argument(
+        "--gravity",
+        type=float,
+        nargs=3,
+        default=UPRIGHT_GRAVITY.tolist(),
+        metavar=("X", "Y", "Z"),
+        help="direction of gravity in the root frame, if no topic gives it (default: upright)",
+    )
+    parser.add_argument("--precision", choices=PRECISIONS, help="precision of the network weights (default int8)")
     add_fit_option(parser)
-    parser.add_argument("--normals", choices=NORMALS, default="skinned", help="carried along, or of the draped mesh")
+    parser.add_argument(
+        "--normals",
+        choices=NORMALS,
+        default="skinned",
+        help="carried along with the cloth, or computed from the draped mesh",
+    )
     add_limbs_option(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
     )
     parser.add_argument(
-        "--processes", type=whole_number(1), metavar="N", help="of a folder of bags, so many at once (default 1)"
+        "--processes",
+        type=whole_number(1),
+        metavar="N",
+        help="with a folder of bags: how many to replay at once (default 1)",
     )
-    parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
-    parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="of the clouds (default %(default)s)")
-    parser.add_argument("--frame-id", default="base_link", help="of the clouds and of the root (default %(default)s)")
+    parser.add_argument("--storage", choices=STORAGES, help="format of an output folder (default mcap)")
+    parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="topic of the clouds (default %(default)s)")
+    parser.add_argument(
+        "--frame-id", default="base_link", help="frame of the clouds and of the root (default %(default)s)"
+    )
     parser.add_argument(
         "--contact-every",
         type=whole_number(0),
@@ -165,9 +186,16 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--report", type=file_to_write, metavar="FILE", help="write a self-contained HTML page")
     parser.add_argument(
-        "--pictures", type=whole_number(0), default=6, metavar="K", help="in the report (default %(default)s)"
+        "--pictures",
+        type=whole_number(0),
+        default=6,
+        metavar="K",
+        help="number of pictures in the report (default %(default)s)",
     )
     parser.add_argument(
-        "--baseline", type=Path, metavar="FILE", help="an earlier --json of this bag; exit 1 when worse"
+        "--baseline",
+        type=Path,
+        metavar="FILE",
+        help="compare with an earlier --json of this bag; exit status 1 if worse",
     )
     return parser

@@ -1,4 +1,4 @@
-"""`physkin convert`: a motion as a bag of joint states, for replay or `ros2 bag play`. Needs no ROS."""
+"""`physkin convert`: write a motion as a bag of joint states, for replay or `ros2 bag play`. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["command_parser", "main"]
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin convert`."""
-    parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("motion", help="shipped clip (walk, dance, ...), motion file (.safetensors), .bvh or .amc")
     parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
-    parser.add_argument("--storage", choices=STORAGES, help="of an output folder (default mcap)")
+    parser.add_argument("--storage", choices=STORAGES, help="format of an output folder (default mcap)")
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; mocap: 60)"
     )

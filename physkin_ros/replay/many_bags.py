@@ -54,12 +54,12 @@ def replay_all(options: argparse.Namespace, replay_one: Replayed) -> int:
     """
     for name in ONE_BAG:
         if getattr(options, name) is not None:
-            raise BagError(f"--{name} is for one bag; of a folder of bags --output gets figures and reports")
+            raise BagError(f"--{name} is for a single bag; for a folder of bags, --output gets figures and reports")
     output: Path | None = options.output
     if output is None:
-        raise BagError(f"{options.bag} is a folder of bags: --output FOLDER is needed, for what is written of each")
+        raise BagError(f"{options.bag} is a folder of bags: give --output FOLDER for the results")
     if output.exists() and not output.is_dir():
-        raise BagError(f"--output {output} is a file; of a folder of bags a folder is needed")
+        raise BagError(f"--output {output} is a file; for a folder of bags a folder is needed")
     if output.resolve() == options.bag.resolve():
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
     bags = {bag: output / bag.name for bag in bags_in(options.bag)}

@@ -47,12 +47,12 @@ def gravity_from_imu(message) -> np.ndarray:
     """
     if message.orientation_covariance[0] != -1.0:
         return gravity_from_quaternion(quaternion_of(message.orientation))
-    felt = vector_of(message.linear_acceleration)
+    acceleration = vector_of(message.linear_acceleration)
     try:
-        down = gravity_direction([-number for number in felt])
+        down = gravity_direction([-number for number in acceleration])
     except ValueError:
         raise OrientationError(
-            f"the IMU gives no orientation (covariance -1) and feels {list(felt)} m/s2; one is needed"
+            f"the IMU gives no orientation (covariance -1) and measures {list(acceleration)} m/s2; one is needed"
         ) from None
     return down / np.linalg.norm(down)
 

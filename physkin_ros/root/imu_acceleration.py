@@ -19,7 +19,7 @@ LARGEST_GAP = 500_000_000
 """[ns] After a longer pause the root is taken to have come to rest."""
 LARGEST_FORCE = 1000.0
 """[m/s2] beyond what any IMU on a body measures."""
-LARGEST_FELT = 0.9999 * LARGEST_EFFECTIVE_GRAVITY
+LARGEST_EFFECTIVE = 0.9999 * LARGEST_EFFECTIVE_GRAVITY
 UP = (0.0, 0.0, 1.0)
 
 
@@ -37,7 +37,7 @@ class ImuAcceleration:
         self._in_world = True
         self._smooth = np.zeros(3)
 
-    def felt(self, message, stamp_ns: int) -> EffectiveGravity | None:
+    def effective_gravity(self, message, stamp_ns: int) -> EffectiveGravity | None:
         """Of a `sensor_msgs/Imu`. None for one without acceleration or stamp, or that comes twice or late.
 
         Raises OrientationError for values that are not finite or cannot be.
@@ -66,8 +66,8 @@ class ImuAcceleration:
             self._smooth = self._smooth + share * (measured - self._smooth)
         self._last_ns, self._in_world = stamp_ns, in_world
         if in_world:
-            felt = down - np.array(rotated(inverse(turn), self._smooth)) / STANDARD_GRAVITY
+            gravity = down - np.array(rotated(inverse(turn), self._smooth)) / STANDARD_GRAVITY
         else:
-            felt = -self._smooth / STANDARD_GRAVITY
-        felt = felt * min(1.0, LARGEST_FELT / max(np.linalg.norm(felt), 1e-9))
-        return EffectiveGravity(STANDARD_GRAVITY * felt, STANDARD_GRAVITY * down)
+            gravity = -self._smooth / STANDARD_GRAVITY
+        gravity = gravity * min(1.0, LARGEST_EFFECTIVE / max(np.linalg.norm(gravity), 1e-9))
+        return EffectiveGravity(STANDARD_GRAVITY * gravity, STANDARD_GRAVITY * down)

@@ -69,10 +69,10 @@ class RootOrientation:
     def imu(self, message) -> None:
         """Of a `sensor_msgs/Imu` at the root."""
         stamp_ns = stamp_of(message)
-        felt = self._acceleration.felt(message, stamp_ns)
+        effective_gravity = self._acceleration.effective_gravity(message, stamp_ns)
         self._tell_direction(gravity_from_imu(message), stamp_ns)
-        if felt is not None:
-            self._on_motion(felt, stamp_ns)
+        if effective_gravity is not None:
+            self._on_motion(effective_gravity, stamp_ns)
 
     def transforms(self, tree: TransformTree, wrong: Mapping[str, str], frame_id: str, world_frame: str) -> list[str]:
         """Of TF, when something in it has changed: where frame_id is in world_frame, which is upright; or sets `fault`.

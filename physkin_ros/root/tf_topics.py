@@ -99,14 +99,14 @@ class RootBroadcaster:
             raise OrientationError(
                 f"the root's pose is given in frame {shown(parent)}, which is the root's own (frame_id)"
             )
-        told = TransformStamped(child_frame_id=self._frame_id)
-        told.header.frame_id = parent
+        transform = TransformStamped(child_frame_id=self._frame_id)
+        transform.header.frame_id = parent
         stamped = header.stamp.sec or header.stamp.nanosec
-        told.header.stamp = header.stamp if stamped else self._node.get_clock().now().to_msg()
-        shift, rotation = told.transform.translation, told.transform.rotation
+        transform.header.stamp = header.stamp if stamped else self._node.get_clock().now().to_msg()
+        shift, rotation = transform.transform.translation, transform.transform.rotation
         shift.x, shift.y, shift.z = place
         rotation.x, rotation.y, rotation.z, rotation.w = unit_quaternion(turn)
-        self._publisher.publish(self._message(transforms=[told]))
+        self._publisher.publish(self._message(transforms=[transform]))
 
     def close(self) -> None:
         """Take the topic down."""

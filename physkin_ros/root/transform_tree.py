@@ -155,7 +155,7 @@ class TransformTree:
         chain = []
         while frame != world and frame in self._frames:
             if len(chain) == DEEPEST_CHAIN or frame in chain:
-                raise OrientationError(f"the transforms above {shown(chain[0])} go round in a circle")
+                raise OrientationError(f"the transforms above {shown(chain[0])} form a loop")
             chain.append(frame)
             frame = self._frames[frame].parent
         return chain, frame

@@ -1,4 +1,4 @@
-"""`physkin demo`: the drape node at work between two other processes, measured and drawn.
+"""`physkin demo`: run the ROS node between a motion player and a listener; measure it and draw a picture.
 
 A node process drapes an outfit, a player process sends a bundled motion as gravity and joint states at 60 Hz, a
 listener process receives the clouds. Every cloud is matched to its joint state by its stamp, and some are compared
@@ -28,7 +28,7 @@ __all__ = ["command_parser", "main"]
 
 RATE_HZ = 60.0
 WORN = ("trousers", "tshirt")
-"""Unless told otherwise, from the skin outwards."""
+"""By default, from the skin outwards."""
 ERROR_ALLOWED = 3e-3
 """[m] A cloud with the gravity of the frame before or after passes, one with an upright body's fails; layers over each
 other in folds differ by a millimetre where they were put in order in another frame."""
@@ -76,7 +76,7 @@ def _play(options: argparse.Namespace, keep_every: int, folder: Path) -> Records
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin demo`."""
-    parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="physkin demo", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("--seconds", type=positive, default=10.0, help="how long to play (default %(default)g)")
     parser.add_argument(
         *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"

@@ -32,8 +32,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
     parser.add_argument("--live", action="store_true", help="play, do not drape")
     parser.add_argument("--rate", type=positive, default=1.0, metavar="R", help="times as fast (default 1)")
-    parser.add_argument("--topic", help="joint states (default /joint_states, or the only one)")
-    parser.add_argument("--gravity-topic", help="gravity's direction (default /gravity, if the bag has it)")
+    parser.add_argument("--topic", help="topic of joint states (default /joint_states, or the only one)")
+    parser.add_argument(
+        "--gravity-topic", help="topic of the direction of gravity (default /gravity, if the bag has it)"
+    )
     options = parser.parse_args(argv)
     root = ["odometry", "transforms"]
     if missing := missing_tf():

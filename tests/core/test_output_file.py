@@ -28,5 +28,5 @@ def test_what_is_read_is_not_written(tmp_path):
     mine.write_bytes(b"x")
     link.symlink_to(mine)
     check_other_file(mine, "walk", tmp_path / "other.glb")
-    with pytest.raises(ValueError, match="link.glb: it is what is read; give another name"):
+    with pytest.raises(ValueError, match="link.glb: it is the file that is read; give another name"):
         check_other_file(link, "walk", mine)

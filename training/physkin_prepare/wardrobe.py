@@ -1,7 +1,7 @@
 """Sew the wardrobe: fourteen garments from the sewing patterns in training/garments/patterns, on the garment body.
 
 `python -m physkin_prepare.wardrobe [--names ...] [--output training/garments] [--device cpu]` writes one OBJ file each,
-in the root frame of the template, with the panels as parts and texture places in metres along the grain.
+in the root frame of the template, with the panels as parts and texture coordinates in metres along the grain.
 """
 
 from __future__ import annotations

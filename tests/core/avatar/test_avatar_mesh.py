@@ -178,7 +178,7 @@ def test_truncated_binary_meshes(tmp_path, suffix):
     data = (tmp_path / f"person{suffix}").read_bytes()
     for length in (0, 40, 200, len(data) // 2, len(data) - 3):
         (tmp_path / f"cut{suffix}").write_bytes(data[:length])
-        with pytest.raises(AvatarError, match="it is no PLY file|cut off|no faces|malformed"):
+        with pytest.raises(AvatarError, match="it is not a PLY file|cut off|no faces|malformed"):
             load_avatar(tmp_path / f"cut{suffix}", RIG)
 
 

@@ -49,7 +49,7 @@ def worn(shirt):
 
 
 def unrolled(vertices, faces):
-    """(f, 3, 2) texture places: unrolled about the upright axis, cut at the back."""
+    """(f, 3, 2) texture coordinates: unrolled about the upright axis, cut at the back."""
     turn = (np.arctan2(vertices[:, 1], vertices[:, 0]) / (2 * np.pi))[faces]
     turn -= np.round(turn - turn[:, :1])
     return np.stack([turn, vertices[faces][..., 2]], axis=-1)
@@ -166,7 +166,7 @@ def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
     "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
 )
 def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected, export):
-    """In both files: the picture is scaled, texture places stay what they are."""
+    """In both files: the picture is scaled, texture coordinates stay what they are."""
     library = f"newmtl knit\nmap_Kd {options} knit.png\nnewmtl red\nmap_Kd knit.png\n"
     path = write_look(tmp_path / "look", shirt, library=library)
     knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
@@ -254,7 +254,7 @@ def plain(folder, model):
             far_off,
             r"is no mesh of a garment worn: longsleeve is the closest, \d\d mm off on average, at most 2 are allowed",
         ),
-        (plain, "has neither texture places nor materials"),
+        (plain, "has neither texture coordinates nor materials"),
         (lambda *to: write_look(*to, files={}), "the picture of material 'knit' is missing: 'knit.png'"),
         (
             lambda *to: write_look(*to, files={"knit.png": b"GIF89a"}),

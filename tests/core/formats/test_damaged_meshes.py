@@ -37,7 +37,7 @@ def test_surfaces(tmp_path, name):
 
 @pytest.mark.parametrize("read", [read_mesh, load_garment, read_points])
 def test_obj(tmp_path, read):
-    """With texture places, parts, a library and a picture."""
+    """With texture coordinates, parts, a library and a picture."""
     Image.new("RGB", (8, 8)).save(tmp_path / "cloth.png")
     (tmp_path / "ball.mtl").write_text("newmtl cloth\nmap_Kd cloth.png\n")
     lines = ["mtllib ball.mtl", "o ball", "usemtl cloth"] + [f"v {x} {y} {z}" for x, y, z in BALL.vertices.tolist()]

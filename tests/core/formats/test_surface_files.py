@@ -93,9 +93,9 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         (TRIANGLE + "".join(f"o p{k}\nf 1 2 3\n" for k in range(60_000)), "it has 10001 parts or more"),
         (TRIANGLE + "f" + " 1" * 600_000, "a line of 1200001 characters, allowed are 1048576"),
         (TRIANGLE + "f" + " 1 \\\n" * 300_000, "a line of .* characters"),
-        (TRIANGLE + f"f 1 2 {10**30}\n", "'f 1 2 1000.*' is at vertices or texture places that are not there"),
+        (TRIANGLE + f"f 1 2 {10**30}\n", "'f 1 2 1000.*' refers to vertices or texture coordinates that do not exist"),
         (TRIANGLE + f"f 1 2 {'9' * 5000}\n", r"'9+\.\.\.9+' is no corner"),
-        (TRIANGLE + "f 1 2 4\n", "a face has corners at vertices that are not there; it has 3 of them"),
+        (TRIANGLE + "f 1 2 4\n", "a face has corners at vertices that do not exist; there are 3"),
         ("\f" * 8_000_001, "it has 8000001 lines, allowed are 8000000"),
     ],
 )

@@ -34,7 +34,7 @@ def picture(kind="PNG"):
 
 
 def places(vertices):
-    """(..., 2) texture places by where vertices of the root frame are: their left half in the picture's left one."""
+    """(..., 2) texture coordinates of vertices in the root frame: their left half is in the picture's left one."""
     return np.stack([0.5 - 0.8 * vertices[..., 1], 0.3 * vertices[..., 2] + 0.5], axis=-1)
 
 

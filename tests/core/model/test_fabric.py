@@ -89,7 +89,7 @@ def test_a_name_may_carry_the_fabric(model, tmp_path):
     assert load_garment_model(f"{path}:density=0.16 + bend=5e-6").material.bending == 5e-6
     assert load_garment_model(path).material == model.material
     with pytest.raises(
-        ValueError, match="no fabric 'tweed'; allowed: jersey, silk, cotton, wool, rib, denim, leather, or numbers"
+        ValueError, match="unknown fabric 'tweed'; allowed: jersey, silk, cotton, wool, rib, denim, leather, or numbers"
     ):
         load_garment_model(f"{path}:tweed")
     with pytest.raises(ModelFileError, match="no garment model 'cope'"):
@@ -115,7 +115,7 @@ def test_a_colour_may_follow_the_fabric(text, fabric, colour):
 
 @pytest.mark.parametrize("text", ["denim:#33", "denim:mauve", "#12345g", "denim:"])
 def test_an_unknown_colour_is_refused_with_those_there_are(text):
-    with pytest.raises(ValueError, match="no colour .* allowed: #rgb, #rrggbb, beige, black"):
+    with pytest.raises(ValueError, match="unknown colour .* allowed: #rgb, #rrggbb, beige, black"):
         parse_fabric(text)
 
 
@@ -135,7 +135,7 @@ def test_a_file_whose_name_has_a_colon_is_itself(model, tmp_path):
 
 @pytest.mark.parametrize("text", ["", "stretch", "stretch=", "weight=3", "stretch=a", "bend=1e-4+bend=2e-4"])
 def test_what_is_no_fabric_is_refused(model, text):
-    with pytest.raises(ValueError, match="no fabric"):
+    with pytest.raises(ValueError, match="unknown fabric"):
         with_fabric(model, text)
 
 
@@ -162,7 +162,7 @@ def test_what_was_not_learnt_is_refused(model):
     with pytest.raises(ValueError, match="bend 9e-05 J .*allowed: 7.5e-07 to 4.8e-05 J$"):
         with_fabric(replace(model, training={"bending_octaves": [-2, 4]}), "bend=9e-5")
     for other in ("jersey", "density=0.16"):
-        with pytest.raises(ValueError, match="'random' is of another fabric already, .* optimisation.other_b"):
+        with pytest.raises(ValueError, match="'random' cannot be made of another fabric: .* optimisation.other_b"):
             with_fabric(with_fabric(model, "bend=5e-6"), other)
 
 

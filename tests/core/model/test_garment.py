@@ -136,7 +136,7 @@ def test_creases_off_the_edges_are_refused(tmp_path):
     for line, message in (
         ("l 2 4", "1 creases run along no edge of the mesh, the first is from vertex 1 to 3; mark creases"),
         ("l 1 3 1\nl 3 3", "1 creases run along no edge of the mesh, the first is from vertex 2 to 2"),
-        ("l 1 9", "a line has corners at vertices that are not there; it has 4 of them"),
+        ("l 1 9", "a line has corners at vertices that do not exist; there are 4"),
         ("l 1 x", "'l 1 x': 'x' is no corner"),
     ):
         (tmp_path / "odd.obj").write_text(f"{text}{line}\n")

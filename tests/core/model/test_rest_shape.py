@@ -14,7 +14,7 @@ from scipy.linalg import polar
 from physkin_core import Garment, GarmentError, ModelFileError, load_garment, load_garment_model, save_garment_model
 from physkin_core.cli import main
 from physkin_core.formats.deflated_tensors import inflate_tensors
-from physkin_core.model.faces_of_panels import told_by_panels, with_faces
+from physkin_core.model.faces_of_panels import with_faces, without_faces
 from physkin_core.model.garment import face_areas
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.tensor_file import read_tensors
@@ -161,10 +161,10 @@ def test_faces_that_panels_do_not_tell_are_stored():
     """Where two vertices share a place on a panel."""
     faces = np.array([[0, 1, 2], [3, 4, 5]], np.uint8)
     tensors = {"garment.faces": faces, "garment.panel_faces": np.array([[0, 1, 2], [0, 2, 3]], np.uint8)}
-    assert told_by_panels(tensors) == tensors
+    assert without_faces(tensors) == tensors
     apart = tensors | {"garment.panel_faces": faces}
-    assert "garment.faces" not in told_by_panels(apart)
-    np.testing.assert_array_equal(with_faces(told_by_panels(apart))["garment.faces"], faces)
+    assert "garment.faces" not in without_faces(apart)
+    np.testing.assert_array_equal(with_faces(without_faces(apart))["garment.faces"], faces)
 
 
 def test_an_obj_with_texture_places_in_metres_brings_its_panels(sewn, tmp_path):

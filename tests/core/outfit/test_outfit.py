@@ -283,7 +283,7 @@ def test_what_cannot_be_worn_is_refused_in_one_sentence(models, avatar):
         "different rigs": [tshirt, other_rig],
         "'skirt' cannot be worn under 'trousers'": [models["skirt"], trousers],
         "'dress' cannot be tucked into 'trousers': it reaches": [WornGarment(dress, tucked=True), trousers],
-        "'trousers' cannot be tucked into 'tshirt': it does not go over": [
+        "'trousers' cannot be tucked into 'tshirt': it does not reach that waistband": [
             WornGarment(trousers, tucked=True),
             tshirt,
         ],

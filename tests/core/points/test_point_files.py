@@ -132,8 +132,8 @@ def test_numbers_as_text_may_be_long(tmp_path):
     [
         ("a.splat", b"", r"allowed are \.ply, \.obj, \.glb"),
         ("a.ply", None, "no such file"),
-        ("a.ply", b"solid", "it is no PLY file"),
-        ("a.ply", b"ply\nformat ascii 1.0\nend_header", "it is no PLY file"),
+        ("a.ply", b"solid", "it is not a PLY file"),
+        ("a.ply", b"ply\nformat ascii 1.0\nend_header", "it is not a PLY file"),
         ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "'vertex' with a count up to 8000000, got 'none'"),
         ("a.ply", replaced(a=(b"binary_little_endian", b"middle")), "its format is 'middle', allowed: ascii"),
         ("a.ply", replaced(a=(b"element vertex", b"element chunk")), "with a count up to 8000000, got 'chunk' 40"),

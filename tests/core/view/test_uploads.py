@@ -109,13 +109,13 @@ def test_what_cannot_be_read_does_not_stay(sender):
 @pytest.mark.parametrize(
     ("sent", "told"),
     [
-        ({"name": "..", "parts": [b"x"]}, "'..' is no name of a file; rename it"),
-        ({"name": "a\0b.glb", "parts": [b"x"]}, "is no name of a file; rename it"),
+        ({"name": "..", "parts": [b"x"]}, "'..' is not a file name; rename it"),
+        ({"name": "a\0b.glb", "parts": [b"x"]}, "is not a file name; rename it"),
         ({"name": "x" * 400, "parts": [b"x"]}, "File name too long"),
         ({"name": "no.glb", "parts": []}, "'no.glb' has 0 bytes; allowed are 1 to 268435456"),
         ({"name": "\x1b[2J" + "x" * 9000, "parts": [], "size": 1 << 40}, "'\\x1b[2Jxxx"),
-        ({"name": "less.glb", "parts": [b"x", b"y"], "size": 3}, "did not come as it was announced"),
-        ({"name": "more.glb", "parts": [b"x" * 100, b"y"], "size": 9}, "did not come as it was announced"),
+        ({"name": "less.glb", "parts": [b"x", b"y"], "size": 3}, "did not arrive as announced"),
+        ({"name": "more.glb", "parts": [b"x" * 100, b"y"], "size": 9}, "did not arrive as announced"),
     ],
 )
 def test_what_is_refused(sender, sent, told):

@@ -94,7 +94,7 @@ def test_derived_fields_are_as_they_were(monkeypatch):
     [
         (Stranger(), "Stranger cannot be sent"),
         (object(), "object cannot be sent"),
-        ({1: 2}, "keys must be texts"),
+        ({1: 2}, "keys must be strings"),
         (np.array([None]), "arrays of object cannot be sent"),
         (np.array(["a"]), "arrays of <U1 cannot be sent"),
     ],

@@ -88,8 +88,8 @@ def test_padding_says_nothing(reader):
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"", "no joint state: 0 bytes"),
-        (b"\1\2\3\4" * 20, "no joint state: 80 bytes that start with 01 02 03 04"),
+        (b"", "not a joint state: 0 bytes"),
+        (b"\1\2\3\4" * 20, "not a joint state: 80 bytes that start with 01 02 03 04"),
         (wire_bytes([], []), "names no joints"),
         (wire_bytes(["hip", "knee"], [1.0]), "2 names but 1 positions"),
         (wire_bytes(["hip", "hip"], [1.0, 2.0]), "are the same joint"),

@@ -95,7 +95,7 @@ def test_hostile_messages(site, drapes, garment_model):
     drapes()
     site.until(lambda: int(site.statuses[TOP]["joint states rejected"]) >= len(states), "rejections to be counted")
     site.until(lambda: int(site.statuses[TOP]["gravity messages rejected"]) >= 1, "bad gravity to be counted")
-    reported(site, "last rejection", "the message is no joint state")
+    reported(site, "last rejection", "the message is not a joint state")
 
 
 @contextmanager

@@ -194,7 +194,7 @@ def test_swaps_that_fail_leave_the_old(site, drapers, garment_model, other_body,
         (SetGarment, {"avatar": "alice", "model": "tshirt"}, "no garment ''; allowed: '"),
         (SetGarment, worn, "model must not be empty"),
         (SetGarment, worn | {"model": "nosuch"}, "'nosuch'"),
-        (SetGarment, worn | {"model": "tshirt:velvet"}, "no fabric 'velvet'; allowed: jersey"),
+        (SetGarment, worn | {"model": "tshirt:velvet"}, "unknown fabric 'velvet'; allowed: jersey"),
         (
             SetGarment,
             worn | {"model": "tshirt:density=9"},
@@ -216,7 +216,7 @@ def test_parameters_are_validated(site, other_body):
     for name, value, reason in (
         ("avatars.alice.body_mesh", "/etc/passwd", "outside the parameter asset_roots"),
         ("avatars.alice.garments.top.model", "", "must not be empty"),
-        ("avatars.alice.garments.top.model", "tshirt:velvet", "no fabric 'velvet'; allowed: jersey"),
+        ("avatars.alice.garments.top.model", "tshirt:velvet", "unknown fabric 'velvet'; allowed: jersey"),
         ("avatars.alice.frame_id", "torso", "read-only"),
         ("deadline", "soon", "parameter deadline is 'soon'; allowed: a number from 0 to 60"),
     ):

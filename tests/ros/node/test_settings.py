@@ -148,7 +148,7 @@ def test_frames_may_bear_a_slash():
             "drape_node: {ros__parameters: {model: 'a,b', splats: a.ply, outfit: false}}",
             "splats is 'a.ply' and model names 2 garments; splats lie on one: avatars.ID.garments.NAME.splats",
         ),
-        ("drape_node: {ros__parameters: {model: 'a,b', layers: [b, a]}}", "layers is for avatars"),
+        ("drape_node: {ros__parameters: {model: 'a,b', layers: [b, a]}}", "layers is only for avatars"),
         ("{avatars: {ann: {garments: {a: {tucked: true}}}}}", "garments.a.tucked is true; allowed in an outfit"),
         (
             "{avatars: {ann: {layers: [a, c], garments: {a: {fit: 0}, b: {fit: 0}}}}}",

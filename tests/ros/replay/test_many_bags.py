@@ -87,11 +87,11 @@ def test_processes_give_the_same_clouds(bags, leaning_model_path, tmp_path, caps
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["{bags}"], "is a folder of bags: --output FOLDER is needed"),
+        (["{bags}"], "is a folder of bags: give --output FOLDER"),
         (["{bags}", "-o", "{bags}"], "is the folder of the bags itself"),
-        (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; of a folder of bags a folder is needed"),
-        (["{bags}", "-o", "{tmp}/out", "--json", "{tmp}/x.json"], "--json is for one bag"),
-        (["{bags}", "-o", "{tmp}/out", "--baseline", "{tmp}/x.json"], "--baseline is for one bag"),
+        (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; for a folder of bags a folder is needed"),
+        (["{bags}", "-o", "{tmp}/out", "--json", "{tmp}/x.json"], "--json is for a single bag"),
+        (["{bags}", "-o", "{tmp}/out", "--baseline", "{tmp}/x.json"], "--baseline is for a single bag"),
         (["{bags}/one.mcap", "--processes", "2"], "--processes 2: {bags}/one.mcap is no folder of bags"),
         (["{tmp}/empty", "-o", "{tmp}/out"], "empty is no bag and holds none"),
     ],

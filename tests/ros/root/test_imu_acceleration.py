@@ -17,8 +17,8 @@ DELAY = 0.2
 class Felt(ImuAcceleration):
     """What is felt (3,), in units of gravity."""
 
-    def felt(self, message, stamp_ns):
-        gravity = super().felt(message, stamp_ns)
+    def effective_gravity(self, message, stamp_ns):
+        gravity = super().effective_gravity(message, stamp_ns)
         return None if gravity is None else gravity.vector / STANDARD_GRAVITY
 
 
@@ -27,11 +27,11 @@ def pushed(rate: float, seconds: float = 0.5, *, oriented: bool = True, turn: Ro
     turn = turn or Rotation.identity()
     acceleration = Felt(delay=delay)
     quaternion = tuple(turn.as_quat().tolist()) if oriented else None
-    felt = acceleration.felt(imu(1.0, turn.inv().apply([0, 0, 9.81]).tolist(), quaternion), 1_000_000_000)
+    felt = acceleration.effective_gravity(imu(1.0, turn.inv().apply([0, 0, 9.81]).tolist(), quaternion), 1_000_000_000)
     np.testing.assert_allclose(felt, turn.inv().apply([0, 0, -1]), atol=1e-9)
     force = turn.inv().apply([4.0, 0.0, 9.81]).tolist()
     for k in range(1, round(seconds * rate) + 1):
-        felt = acceleration.felt(imu(1.0, force, quaternion), 1_000_000_000 + round(1e9 * k / rate))
+        felt = acceleration.effective_gravity(imu(1.0, force, quaternion), 1_000_000_000 + round(1e9 * k / rate))
     return felt
 
 
@@ -52,19 +52,21 @@ def test_gravity_turns_at_once():
     for k in range(20):
         turn = Rotation.from_euler("y", 0.1 * k)
         force = turn.inv().apply([0, 0, 9.81]).tolist()
-        felt = acceleration.felt(imu(0, force, tuple(turn.as_quat().tolist())), 1_000_000_000 + k * 10_000_000)
+        felt = acceleration.effective_gravity(
+            imu(0, force, tuple(turn.as_quat().tolist())), 1_000_000_000 + k * 10_000_000
+        )
         np.testing.assert_allclose(felt, turn.inv().apply([0, 0, -1]), atol=1e-9)
 
 
 def test_gaps_and_stamps():
     """After a pause, or on a new clock, the root is at rest; doubled, late and unstamped messages say nothing."""
     acceleration, push = Felt(delay=0.0), imu(0, (4.0, 0, 9.81), (0.0, 0.0, 0.0, 1.0))
-    at = lambda seconds: acceleration.felt(push, round(1e9 * seconds))  # noqa: E731
+    at = lambda seconds: acceleration.effective_gravity(push, round(1e9 * seconds))  # noqa: E731
     assert at(100)[0] == 0 and at(100.1)[0] < -0.4
     assert at(100.1) is None and at(100.05) is None and at(0) is None
     assert at(100.7)[0] == 0 and at(100.8)[0] < -0.4 and at(50)[0] == 0
     nothing = imu(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    assert acceleration.felt(nothing, 51_000_000_000) is None
+    assert acceleration.effective_gravity(nothing, 51_000_000_000) is None
     push.linear_acceleration_covariance[0] = -1.0
     assert at(51) is None
 
@@ -74,12 +76,12 @@ def test_at_most_three_times_gravity():
     felt = pushed(50.0, delay=0.0)
     acceleration = Felt(delay=0.0)
     for k in range(2):
-        felt = acceleration.felt(imu(0, (0.0, 0.0, 99.0)), 1_000_000_000 + k * 10_000_000)
+        felt = acceleration.effective_gravity(imu(0, (0.0, 0.0, 99.0)), 1_000_000_000 + k * 10_000_000)
     np.testing.assert_allclose(felt, [0, 0, -3 * 0.9999], rtol=1e-7)
     assert np.linalg.norm(felt) < 3
     for wrong in ((np.nan, 0, 0), (0, 0, 2000.0), (np.inf, 0, 0)):
         with pytest.raises(OrientationError, match="linear acceleration is"):
-            acceleration.felt(imu(0, wrong), 2_000_000_000)
+            acceleration.effective_gravity(imu(0, wrong), 2_000_000_000)
 
 
 @pytest.mark.parametrize("oriented", [True, False])
@@ -90,6 +92,6 @@ def test_gravity_at_rest_is_told_with_it(oriented):
     acceleration = ImuAcceleration(delay=0.0)
     for k in range(2):
         message = imu(0, push, tuple(turn.as_quat().tolist()) if oriented else None)
-        felt = acceleration.felt(message, 1_000_000_000 + k * 10_000_000)
+        felt = acceleration.effective_gravity(message, 1_000_000_000 + k * 10_000_000)
     np.testing.assert_allclose(felt.at_rest, 9.81 * down, atol=1e-9)
     np.testing.assert_allclose(felt.vector, -np.array(push), atol=1e-9)

@@ -112,7 +112,7 @@ def test_names_of_outfits():
     ]
     for text, message in {
         "tshirt": "at least two garments, got 1",
-        "tshirt:in,trousers": "no fabric 'in'",
+        "tshirt:in,trousers": "unknown fabric 'in'",
         "tshirt,": "",
     }.items():
         with pytest.raises(ValueError, match=message):

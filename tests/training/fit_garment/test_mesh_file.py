@@ -1,4 +1,4 @@
-"""What a garment file has besides its shape is in what is written: texture places, materials, pictures and parts."""
+"""A garment file's texture coordinates, materials, pictures and parts are in what is written."""
 
 from __future__ import annotations
 

@@ -53,7 +53,9 @@ def test_panels_and_creases_are_kept_through_repairs(template, tmp_path):
         lines.append(line)
     path.write_text("\n".join(lines))
     found, outcome, words = rewritten(path, template, template)
-    assert outcome == "ok" and words.startswith("2 flat panels of 0.40 m2: texture places in metres, the median edge")
+    assert outcome == "ok" and words.startswith(
+        "2 flat panels of 0.40 m2: texture coordinates in metres, the median edge"
+    )
     assert len(found.faces) > 3 * len(band.faces)
     assert found.face_areas.sum() == pytest.approx(2 * WIDTH * HEIGHT, rel=1e-4)
     on_seam = found.vertices[found.creases.reshape(-1)]
@@ -83,7 +85,10 @@ def test_panels_are_graded_to_the_template_with_a_mesh_of_another_body(template,
 
 def test_texture_places_that_are_no_panels_stay_a_look(template, tmp_path):
     band = sewn_band()
-    for scale, words in ((0.1, "none, it rests as it lies: texture places are not in metres"), (None, "no texture")):
+    for scale, words in (
+        (0.1, "none, it rests as it lies: texture coordinates are not in metres"),
+        (None, "no texture"),
+    ):
         path = tmp_path / "band.obj"
         write_sewn(path, band)
         text = path.read_text().splitlines()
@@ -115,7 +120,9 @@ def test_panels_that_cannot_be_graded_are_dropped():
     checks = Checks(torn, band.faces, np.zeros((0, 2, 3)))
     left = check_rest_shape(checks, look, band.vertices, band.vertices)
     (verdict,) = checks.verdicts
-    assert verdict.outcome == "warning" and "dropped, and the texture places with it: graded to the" in verdict.found
+    assert (
+        verdict.outcome == "warning" and "dropped, and the texture coordinates with it: graded to the" in verdict.found
+    )
     assert np.isnan(left.uv).all()
 
 

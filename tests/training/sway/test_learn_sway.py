@@ -137,7 +137,7 @@ def test_files_that_cannot_be_written(band, tmp_path):
     new = str(tmp_path / "new.safetensors")
     with pytest.raises(ValueError, match="--walkers-file has the same name"):
         main([str(band), "--walkers-file", new, "-o", new])
-    with pytest.raises(ValueError, match="it is what is read"):
+    with pytest.raises(ValueError, match="it is the file that is read"):
         main([str(band), "-o", str(band)])
 
 

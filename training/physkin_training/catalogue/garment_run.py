@@ -95,8 +95,8 @@ def _save_jpeg(path: Path, picture: np.ndarray) -> None:
 
 def _reason(log: Path) -> str:
     """The last error in a log."""
-    told = [line for line in log.read_text(errors="replace").splitlines() if line.startswith(TOLD)]
-    return told[-1].removeprefix(TOLD) if told else f"see {log}"
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.startswith(TOLD)]
+    return lines[-1].removeprefix(TOLD) if lines else f"see {log}"
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""`physkin train-catalogue`: every garment of a folder trained on a Ray cluster, and a page of them all."""
+"""`physkin train-catalogue`: train every garment of a folder on a Ray cluster, and write a page of them all."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _arguments(options: argparse.Namespace) -> list[str]:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin train-catalogue`."""
-    parser = argparse.ArgumentParser(prog="physkin train-catalogue", description=__doc__)
+    parser = argparse.ArgumentParser(prog="physkin train-catalogue", description=__doc__.split("`: ", 1)[1])
     parser.add_argument(
         "folder", type=Path, metavar="FOLDER", help="garment meshes and patterns; NAME.toml beside one is its recipe"
     )

@@ -1,4 +1,4 @@
-"""The command `physkin evaluate`: figures of a garment model, or of outfits, on bodies that training has not seen."""
+"""`physkin evaluate`: measure a garment model, or outfits, on bodies that training has not seen."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin evaluate`."""
-    parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="physkin evaluate", description=__doc__.split("`: ", 1)[1])
     parser.add_argument("model", nargs="?", help="garment model file, or the name of a shipped one")
     parser.add_argument(
         "--outfit",
@@ -67,7 +67,10 @@ def command_parser() -> argparse.ArgumentParser:
         help="of outfits: from one run of frames measured to the next (default 60)",
     )
     parser.add_argument(
-        "--minimum", type=int, metavar="PAIRS", help="also minimise that many uniform pairs, and of motion"
+        "--minimum",
+        type=int,
+        metavar="PAIRS",
+        help="also minimise the energy of that many pairs of a body and a pose, uniform and from motion",
     )
     parser.add_argument(
         "--dynamic",

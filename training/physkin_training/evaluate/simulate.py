@@ -170,7 +170,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin simulate`."""
-    parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
     add_avatar_options(parser, made_on=True)
     pose = parser.add_mutually_exclusive_group()

@@ -85,8 +85,8 @@ class PoseSampler:
             gravity = torch.where(chosen, _unit(share * downs + (1 - share) * self._down), gravity)
         if self.accelerated > 0:
             way = _unit(torch.randn(count, 3, device=self.lower.device, generator=generator))
-            felt = gravity - LARGEST_ACCELERATION * share * uniform(count, 1) * way
-            gravity = torch.where(uniform(count, 1) < self.accelerated, felt, gravity)
+            effective = gravity - LARGEST_ACCELERATION * share * uniform(count, 1) * way
+            gravity = torch.where(uniform(count, 1) < self.accelerated, effective, gravity)
         return positions, gravity
 
 

@@ -35,7 +35,7 @@ SHOWN_EVERY = 30.0
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin train`."""
-    parser = argparse.ArgumentParser(prog="physkin train", description=__doc__)
+    parser = argparse.ArgumentParser(prog="physkin train", description=__doc__.split("`: ", 1)[1])
     parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
     parser.add_argument(
         "--garment", type=Path, metavar="MESH", help="in place of the configuration's; the model has the mesh's name"
@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None, *, within: float = math.inf, shown: Path
         trainer = Trainer(config, device, processes=processes)
         if trainer.garment.panel_places is not None:
             area = trainer.garment.face_areas.sum()
-            log.info("%s rests as the flat panels of its texture places, %.3f m2", config.garment.name, area)
+            log.info("%s rests as the flat panels of its texture coordinates, %.3f m2", config.garment.name, area)
         if arguments.resume:
             trainer.resume(arguments.resume)
         elif arguments.start_from:
@@ -187,7 +187,9 @@ def _train(
                 return 0
     if trainer.settled:
         waited = trainer.config.optimisation.patience
-        log.info("%d measurements brought none below that of step %d: it ends here", waited, trainer.best.step)
+        log.info(
+            "%d measurements found no lower energy than that of step %d: training ends here", waited, trainer.best.step
+        )
     return None
 
 
