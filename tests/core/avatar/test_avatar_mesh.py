@@ -157,7 +157,7 @@ def test_what_a_mesh_without_weights_needs(tmp_path):
     [
         ("", "no faces"),
         ("v 0 0 0\nv 1 0 0\nv 0 0 1\n", "no faces"),
-        ("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 9\n", "a face has corners at vertices that are not there"),
+        ("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 9\n", "a face has corners at vertices that do not exist"),
         ("v 0 0 0\nv nan 0 0\nv 0 0 1\nf 1 2 3\n", "1 vertices are not finite, the first is 1"),
         ("v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 2\n", "all faces are degenerate"),
         ("v 0 0 0\nv a b c\nf one two three\n", "'v a b c' must have 3 numbers"),
