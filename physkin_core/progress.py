@@ -9,19 +9,28 @@ from collections.abc import Callable
 __all__ = ["Watch", "progress_line"]
 
 Watch = Callable[[float], None]
-"""Told how much has been done, from 0 to 1."""
+"""Called with how much has been done, from 0 to 1."""
 PATIENCE = 1.0  # [s] what takes less is not worth a line
+LOG_EVERY = 30.0  # [s] between lines where standard error is no terminal
 
 
 def progress_line(doing: str) -> Watch:
-    """What keeps a line on standard error, if that is a terminal, until all is done. doing: "reading a.bvh"."""
+    """What keeps a line on standard error until all is done: in place if that is a terminal, else anew every half
+    minute. doing: "reading a.bvh"."""
     start = time.monotonic()
+    last = start
 
     def watch(share: float) -> None:
-        taken = time.monotonic() - start
-        if sys.stderr.isatty() and taken > PATIENCE:
-            left = f", {_as_clock(taken / share - taken)} left" if share > 0 else ""
-            line = f"{doing}: {share:.0%}{left}" if share < 1 else ""
+        nonlocal last
+        now = time.monotonic()
+        taken = now - start
+        left = f", {_as_clock(taken / share - taken)} left" if share > 0 else ""
+        line = f"{doing}: {share:.0%}{left}" if share < 1 else ""
+        if not sys.stderr.isatty():
+            if line and now - last > LOG_EVERY:
+                last = now
+                print(line, file=sys.stderr, flush=True)
+        elif taken > PATIENCE:
             print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
 
     return watch

@@ -28,7 +28,7 @@ extern "C" {
 /* Raised when a host built against an older header would break. */
 #define PHYSKIN_ABI_VERSION 2
 
-/* Of the loaded library; compare with PHYSKIN_ABI_VERSION before anything else. */
+/* ABI version of the loaded library; compare it with PHYSKIN_ABI_VERSION before anything else. */
 PHYSKIN_API int32_t physkin_abi_version(void);
 
 typedef enum physkin_status {
@@ -91,20 +91,20 @@ PHYSKIN_API physkin_status physkin_joint_range(const physkin_garment* garment, i
  * its axis by the joint position minus rest. */
 PHYSKIN_API physkin_status physkin_joint_axis(const physkin_garment* garment, int32_t joint, float* axis);
 
-/* One frame of a root that is not accelerated. Allocates nothing.
+/* One frame, for a root that is not accelerated. Allocates nothing.
  * joint_positions: one a joint. gravity: unit direction in the root frame, (0, 0, -1) for an upright body.
  * out: a row a vertex, `stride` floats from row to row: x y z, and with columns = 6 also the unit normal. columns: 3 or
  * 6; stride: columns or more. Buffers need no alignment beyond a float's. */
 PHYSKIN_API physkin_status physkin_step(physkin_garment* garment, const float* joint_positions, const float* gravity,
                                         float* out, int32_t columns, ptrdiff_t stride);
 
-/* The same of a root that is. effective_gravity: gravity less the root's acceleration [m/s2], root frame; zero in free
- * fall, at most 3 x 9.81 long, else PHYSKIN_BAD_POSE. */
+/* The same for an accelerated root. effective_gravity: gravity minus the root's acceleration [m/s2], root frame; zero in
+ * free fall, at most 3 x 9.81 long, else PHYSKIN_BAD_POSE. */
 PHYSKIN_API physkin_status physkin_step_accelerated(physkin_garment* garment, const float* joint_positions,
                                                     const float* effective_gravity, float* out, int32_t columns,
                                                     ptrdiff_t stride);
 
-/* The same of a root that moves through the world: cloth lags, swings, settles, and does not leap. time [s], of any
+/* The same for a root that moves through the world: cloth lags, swings, settles, and does not leap. time [s], of any
  * clock; frames come in their order, at any rate. root: (7) where it is in a world with Z up: x, y, z [m], and its unit
  * quaternion x, y, z, w, world <- root. After a gap, a jump or a clock that goes back cloth comes to rest by itself.
  * PHYSKIN_BAD_POSE for a time or root that cannot be. */
@@ -114,15 +114,15 @@ PHYSKIN_API physkin_status physkin_step_moving(physkin_garment* garment, const f
 /* How much cloth swings in physkin_step_moving, from 0, not at all, to 1, the default; at any time. */
 PHYSKIN_API physkin_status physkin_set_sway(physkin_garment* garment, double amount);
 
-/* Velocity [m/s] (3) of the air from now on, at most 13 long, else PHYSKIN_BAD_ARGUMENT; until then it is still. In the
- * world of physkin_step_moving's root; in physkin_step in the level frame that faces as the root does. An effective
- * gravity, of physkin_step_accelerated, is taken to have all in it that pulls at cloth, wind too. */
+/* Velocity [m/s] (3) of the air from now on, at most 13 m/s, else PHYSKIN_BAD_ARGUMENT; until then it is still. It is given
+ * in the world of physkin_step_moving's root; for physkin_step in the level frame that faces the same way as the root.
+ * physkin_step_accelerated takes no wind: its effective gravity is meant to include it. */
 PHYSKIN_API physkin_status physkin_set_wind(physkin_garment* garment, const double* velocity);
 
 /* Cloth hangs still in the next physkin_step_moving, as in the first. */
 PHYSKIN_API physkin_status physkin_reset(physkin_garment* garment);
 
-/* What computes: names as in physkin_options. */
+/* Precision and instruction set in use; names as in physkin_options. */
 PHYSKIN_API const char* physkin_precision(const physkin_garment* garment);
 PHYSKIN_API const char* physkin_instruction_set(const physkin_garment* garment);
 

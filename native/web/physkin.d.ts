@@ -1,7 +1,7 @@
 /** Metres, radians; the avatar's root frame in glTF's axes: x left, y up, z forward. */
 
-/** What is wrong, in one sentence: a file that is cut off, damaged or of another version, a joint that is not there, a
- * number that is not finite. A frame that throws leaves positions and normals as they were. */
+/** What is wrong, in one sentence: a file that is cut off, damaged or of another version, an unknown joint, a number
+ * that is not finite. A frame that throws leaves positions and normals as they were. */
 export class PhyskinError extends Error {}
 
 /** One scalar degree of freedom; it turns its bone about `axis` by the position minus `rest`. */
@@ -14,8 +14,8 @@ export interface Joint {
   readonly axis: readonly [number, number, number];
 }
 
-/** The typed arrays are the garment's own, not views of the module's memory: they are there for good, and each `step`
- * writes them anew. */
+/** The typed arrays are the garment's own, not views of the module's memory: they stay valid, and each `step` overwrites
+ * them. */
 export interface Garment {
   readonly name: string;
   /** What it can be made of; the first is what the file was made in. */
@@ -34,10 +34,10 @@ export interface Garment {
 export type JointPositions = ArrayLike<number> | Readonly<Record<string, number>>;
 
 export type Frame =
-  /** A root at rest: unit direction of gravity in the root frame, default [0, -1, 0]. Each frame is for itself. */
+  /** A root at rest: unit direction of gravity in the root frame, default [0, -1, 0]. Each frame stands by itself. */
   | { gravity?: ArrayLike<number> }
   /** A root that moves: cloth lags, swings and settles. time [s], of any clock; root: x y z [m] and unit quaternion
-   * x y z w, world <- root, in a world with Y up; default one that stands at the origin. */
+   * x y z w, world <- root, in a world with Y up; by default it stands at the origin. */
   | { time: number; root?: ArrayLike<number> };
 
 export interface Outfit {
