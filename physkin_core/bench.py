@@ -70,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
         raise ValueError(f"--rounds must be 1 or more, got {options.rounds}")
     model, motion = load_garment_model(options.model), load_motion("walk")
     bound = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig), fit=options.fit)
-    frame_input, middle = FrameInput([False]), motion.frame_count // 2
+    frame_input, middle = FrameInput(1), motion.frame_count // 2
     frame_input.fill(motion.gravity[middle])
     pose = motion.positions_for(model.rig)[middle]
     calls = {
@@ -88,7 +88,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def stage_frames(bound: BoundGarment, pose: np.ndarray, inputs: np.ndarray) -> dict[str, tuple[Evaluator, object]]:
-    """`PRECISION.ISA` -> evaluator of a bound garment, and its bound frame at a pose (d,) [rad] and inputs (1, 14)."""
+    """`PRECISION.ISA` -> evaluator of a bound garment, and its bound frame at a pose (d,) [rad] and inputs (1, 13)."""
     found = {}
     for level in supported_instruction_sets():
         for precision in PRECISIONS:

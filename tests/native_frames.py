@@ -16,7 +16,7 @@ __all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "tol
 
 
 def told(gravity=(0.0, 0.0, -1.0), **numbers) -> np.ndarray:
-    """A row (14,) float32: effective gravity, and what else is told; nothing by default."""
+    """A row (13,) float32: effective gravity, and what else is told; nothing by default."""
     return ReferenceRow(np.asarray(gravity), **numbers).row()
 
 
@@ -40,13 +40,13 @@ def clouds(frame, bounds: Sequence[BoundGarment], joint_positions: np.ndarray, *
 
 
 class NativeFrameInput:
-    """From time and root to rows, as `ReferenceFrameInput`."""
+    """From time, root and wind to rows, as `ReferenceFrameInput`."""
 
-    def __init__(self, networks: Sequence[bool]) -> None:
-        self.frame_input = FrameInput(networks)
+    def __init__(self, garments: int) -> None:
+        self.frame_input = FrameInput(garments)
 
-    def rows(self, time: float, root: np.ndarray, amounts: Sequence[float]) -> np.ndarray:
-        self.frame_input.sways = amounts
+    def rows(self, time: float, root: np.ndarray, amounts: Sequence[float], wind=(0.0, 0.0, 0.0)) -> np.ndarray:
+        self.frame_input.sways, self.frame_input.wind = amounts, wind
         self.frame_input.fill(time=time, root=root)
         return self.frame_input.rows.copy()
 

@@ -28,7 +28,7 @@ def test_info(model_path, garment_model, tmp_path, capsys):
     """Name, sizes, material and rig of a model, without ROS or torch."""
     assert cli.main(["info", str(model_path)]) == 0
     output = capsys.readouterr().out
-    assert "not learnt: by a pendulum" in output
+    assert "not learnt: draped at rest" in output
     assert "vest" in output and "16, 4 influences a vertex" in output and "youngs_modulus" in output
     modulation = 2 * sum(len(bias) for _, bias in garment_model.pose_modulator[:-1])
     sizes = len(garment_model.rig.dofs), len(garment_model.node_rest)

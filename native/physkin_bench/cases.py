@@ -45,7 +45,7 @@ POSE_WIDTHS, DEFORMER_WIDTHS = (512,) * 4, (128,) * 4
 class BenchmarkCase:
     """A bound garment and poses for it.
 
-    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 14) float32 as of `FrameInput.rows`. garment: in the rest
+    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 13) float32 as of `FrameInput.rows`. garment: in the rest
     shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a stout body, and a pose
     (d,) float32 in which its forearms are inside it; None for another rig than the default one.
     """
@@ -112,8 +112,8 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
 
 
 def _inputs(gravity: Sequence[np.ndarray]) -> np.ndarray:
-    """(T, 1, 14) inputs of frames that stand by themselves, under directions of gravity (3,)."""
-    frame_input, rows = FrameInput([False]), []
+    """(T, 1, 13) inputs of frames that stand by themselves, under directions of gravity (3,)."""
+    frame_input, rows = FrameInput(1), []
     for each in gravity:
         frame_input.fill(each)
         rows.append(frame_input.rows.copy())

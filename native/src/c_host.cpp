@@ -41,7 +41,6 @@ struct physkin_garment {
 
   void add_part(const std::string& name, const physkin::BoundGarment& garment,
                 const std::vector<std::string>& fabrics) {
-    input.set_network(int(parts.size()), garment.sways_by_network());
     parts.push_back(
         {name, vertex_count, garment.vertex_count, std::int32_t(faces.size() / 3), garment.face_count, fabrics});
     for (std::size_t k = 0; k < 3 * std::size_t(garment.face_count); ++k) {

@@ -194,24 +194,18 @@ void bind_frame(nb::module_& module) {
       .def("apply", &BoundLayerOrder::apply, "steady"_a.noconvert(), "yielding"_a.noconvert(), "look_at_all"_a,
            "passed"_a = -1.0f);
   nb::class_<RootSample>(module, "RootSample").def_prop_ro("known", [](const RootSample& self) { return self.known; });
-  nb::class_<Pendulum>(module, "Pendulum")
+  nb::class_<RootTracker>(module, "RootTracker")
       .def(nb::init<>())
-      .def("reset", &Pendulum::reset)
+      .def("reset", &RootTracker::reset)
       .def(
           "move",
-          [](Pendulum& self, double time, const Vector& root) {
+          [](RootTracker& self, double time, const Vector& root) {
             raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
             return self.sample();
           },
           "time"_a, "root"_a);
   nb::class_<FrameInput>(module, "FrameInput")
       .def(nb::init<int>(), "garments"_a)
-      .def(
-          "set_network",
-          [](FrameInput& self, int garment, bool has) {
-            self.set_network(checked_garment(garment, self.count()), has);
-          },
-          "garment"_a, "has_network"_a)
       .def(
           "set_sway",
           [](FrameInput& self, int garment, double amount) {

@@ -125,7 +125,7 @@ class GarmentModel(SkinnedGarment):
 
     hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them, by which
     rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
-    network that moves the garment nodes of a body that moves; None where a pendulum does. training, scores: plain data
+    network that moves the garment nodes of a body that moves; None: they are as at rest. training, scores: plain data
     on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
     softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`. as_trained:
     of a model that `with_fabric` has given, the one that it was given; None of any other. No file holds it.

@@ -20,7 +20,6 @@ from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.taking_in import taken_in
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
@@ -78,7 +77,7 @@ def bind_outfit(
             layers = [replace(layer, hidden=mask) for layer, mask in zip(layers, always.cloth)]
         else:
             worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
-        layers = [_giving_visible(layer) if hide else _untwisted(layer, layer.given) for layer in layers]
+        layers = [_giving_visible(layer) for layer in layers] if hide else layers
         orders = _orders(layers, cloth, tucks)
         moved = {order.yielding for order in orders}
         layers = [replace(layer, moved=k in moved) for k, layer in enumerate(layers)]
@@ -121,14 +120,7 @@ def _giving_visible(layer: Layer) -> Layer:
     shown = layer.bound.faces[~faces_of(layer.bound.faces, layer.hidden)]
     visible = np.unique(shown).astype(np.int32)
     faces = np.searchsorted(visible, shown).astype(np.int32)
-    return replace(_untwisted(layer, layer.bound.of_vertices(visible, faces)), visible=visible)
-
-
-def _untwisted(layer: Layer, given: BoundGarment) -> Layer:
-    """What is tucked in does not twist."""
-    if layer.tucked:
-        given = replace(given, node_twist=np.empty(0, dtype=np.float32))
-    return replace(layer, given=given)
+    return replace(layer, given=layer.bound.of_vertices(visible, faces), visible=visible)
 
 
 def _orders(

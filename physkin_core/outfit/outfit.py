@@ -119,7 +119,7 @@ class Outfit:
         """Make what a frame writes to."""
         self.layers = tuple(layers)
         self._evaluator = Evaluator([layer.given for layer in layers], self.orders, **self._made)
-        self.frame_input = FrameInput([layer.given.sways_by_network for layer in layers])
+        self.frame_input = FrameInput(len(layers))
         self._warned_of_degrees = False
 
     def twin(self) -> Outfit:

@@ -25,13 +25,13 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.sway_network import fold_body
 from physkin_core.native_module import as_float32
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
+from physkin_core.runtime.around_legs import goes_round_both_legs, thighs
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put_on_body
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 from physkin_core.runtime.skin_guard import guarded
-from physkin_core.sway.node_twist import node_twist, thighs
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "draping", "rest_normals"]
 
@@ -88,7 +88,6 @@ def bind_garment(
         deformer_layers=float32_layers([(folded_weight, first_bias), *rest]),
         node_bone=np.ascontiguousarray(model.node_bone, dtype=np.int32),
         node_positions=as_float32(worn.node_positions),
-        node_twist=node_twist(model.garment, rig, model.node_rest, model.node_bone),
         node_rest=as_float32(worn.node_rest),
         vertices=as_float32(worn.garment.vertices),
         normals=rest_normals(model, worn.garment.vertices),
@@ -101,7 +100,8 @@ def bind_garment(
     )
     with draping(model, avatar):  # whatever it is made of, room and guard are those of the cloth as trained
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
-        bound = replace(bound, **guarded(bound, avatar, rig))
+        if goes_round_both_legs(model.garment, rig, model.node_rest, model.node_bone):
+            bound = replace(bound, **guarded(bound, avatar, rig))
     return bound if model is trained else replace(bound, **_of_body(model, worn.seen, fit))
 
 

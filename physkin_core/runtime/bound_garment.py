@@ -45,8 +45,6 @@ class BoundGarment(SkinningData):
         garment without detail.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
-    node_twist: (m,) how far each garment node goes along where cloth twists about the root's vertical, 0 to 1; (0,)
-        of a garment that does not twist.
     sway_joints, sway_layers, sway_rates, sway_turns: the sway network, the body's code folded in, or all empty. Joints
         (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
         and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
@@ -75,7 +73,6 @@ class BoundGarment(SkinningData):
     fabric_weights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     fabric_sway_shifts: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     detail_layers: tuple[Layer, ...] = ()
-    node_twist: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     sway_layers: tuple[Layer, ...] = ()
     sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
@@ -102,11 +99,6 @@ class BoundGarment(SkinningData):
     skin_presses: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     skin_heights: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.float32))
     skin_coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 9), dtype=np.float32))
-
-    @property
-    def sways_by_network(self) -> bool:
-        """Whether a sway network moves it."""
-        return bool(self.sway_layers)
 
     @property
     def unguarded(self) -> BoundGarment:

@@ -90,7 +90,7 @@ class Evaluator:
     def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> native.Step:
         """A frame bound to its arrays: they are checked once, and then `step()` reads and writes them where they lie.
 
-        joint_positions: (d,) [rad]; inputs: (g, 14) as of `FrameInput.rows`; C-contiguous float32, to be changed in
+        joint_positions: (d,) [rad]; inputs: (g, 13) as of `FrameInput.rows`; C-contiguous float32, to be changed in
         place between frames. outs: one a garment, writable float32, all (n, 6) for x, y, z [m] and unit normals in the
         root frame, or all (n, 3) for positions alone. Rows must be contiguous but may be any distance apart, so that
         they can be views of a larger buffer, such as the data of a point cloud message.
@@ -135,7 +135,7 @@ def drape_poses(
 ) -> list[np.ndarray]:
     """One garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)), each for itself: of each
     (n, 6) float32 vertices and normals. Raises as `Evaluator` does."""
-    evaluator, frame_input = Evaluator([bound], precision=precision), FrameInput([False])
+    evaluator, frame_input = Evaluator([bound], precision=precision), FrameInput(1)
     clouds = []
     for positions, gravity in poses:
         frame_input.fill(gravity)

@@ -38,9 +38,8 @@ HUGS, HANGS = 0.004, 0.02
 
 
 def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
-    """The fields of `BoundGarment` to replace in one that is to be kept out of the skin; none where nothing hangs."""
-    if not len(bound.node_twist):
-        return {}
+    """The fields of `BoundGarment` to replace in one that goes round both legs, for it to be kept out of the skin; none
+    where nothing hangs."""
     try:
         found = find_limbs(rig)
     except ValueError:

@@ -1,7 +1,7 @@
 """What the garments of one avatar are given in a frame besides joint positions.
 
-For each garment a row of numbers: how gravity pulls at it, how far its cloth has twisted about the root, how much time
-has passed since the frame before, and how fast the root moves. native/src/sway/frame_input.cpp works them out for
+For each garment a row of numbers: how gravity and wind pull at it, how much time has passed since the frame before, and
+how fast the root moves. native/src/sway/frame_input.cpp works them out for
 everybody: `Outfit` and `Draper`, the ROS node, replay and hosts in C.
 
 Dimensions: `g` garments. Metres, seconds, radians, root frame.
@@ -24,8 +24,8 @@ __all__ = [
     "STANDARD_GRAVITY",
     "UPRIGHT_GRAVITY",
     "FrameInput",
-    "Pendulum",
     "RootSample",
+    "RootTracker",
     "checked_sway",
     "checked_wind",
     "unit_direction",
@@ -42,9 +42,9 @@ LARGEST_WIND: float = native.constants["largest_wind"]
 UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 """Gravity direction in the root frame of an upright body."""
 
-Pendulum = native.Pendulum
-"""What a root that moves does to cloth, and how fast it moves: `move(time, root)` gives a `RootSample`, for whoever
-learns of the root at other times than of joints, as the ROS node does. `time` and `root` as of `FrameInput.move`."""
+RootTracker = native.RootTracker
+"""How a root moves, pose by pose: `move(time, root)` gives a `RootSample`, for whoever learns of the root at other
+times than of joints, as the ROS node does. `time` and `root` as of `FrameInput.move`."""
 RootSample = native.RootSample
 """What is known of a root at one pose of it, for `FrameInput.follow`."""
 
@@ -52,36 +52,32 @@ RootSample = native.RootSample
 class FrameInput:
     """The rows of one avatar's garments, kept from frame to frame.
 
-    networks: whether a sway network moves each garment. Such a garment is given the root's motion; the others feel the
-    effective gravity of a pendulum that the root moves.
-    rows: (g, 14) float32, which every frame overwrites: effective gravity (3) in units of gravity; twist [rad]; passed
-    time [s], negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s]
-    for it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
+    garments: how many. Raises ValueError for none.
+    rows: (g, 13) float32, which every frame overwrites: effective gravity (3) in units of gravity; passed time [s],
+    negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s] for it;
+    whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
 
     In each frame first say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame, which adds
     the wind.
 
     Examples:
-        >>> frame_input = physkin.FrameInput([False])
+        >>> frame_input = physkin.FrameInput(1)
         >>> frame_input.fill(time=0.0, root=np.array([0, 0, 0.9, 0, 0, 0, 1]))
         >>> frame_input.rows.shape
-        (1, 14)
+        (1, 13)
     """
 
-    def __init__(self, networks: Sequence[bool]) -> None:
-        self._native = native.FrameInput(len(networks))
+    def __init__(self, garments: int) -> None:
+        if garments < 1:
+            raise ValueError(f"garments is {garments}; there must be 1 or more")
+        self._native = native.FrameInput(garments)
         self.rows: np.ndarray = self._native.rows
-        self.set_networks(networks)
-
-    def set_networks(self, networks: Sequence[bool]) -> None:
-        """Other garments, of the same number."""
-        for garment, has_network in enumerate(networks):
-            self._native.set_network(garment, bool(has_network))
 
     @property
     def sways(self) -> tuple[float, ...]:
-        """How much the cloth of each garment swings where the time is known, 1 (the default) all of it. 0: not at all,
-        and every frame stands by itself. Raises ValueError, when set, for other numbers, or another number of them."""
+        """How much the cloth of each garment moves where the time is known, 1 (the default) all of it: it keeps its
+        pace, and a sway network lets it swing. 0: not at all, and every frame stands by itself. Raises ValueError, when
+        set, for other numbers, or another number of them."""
         return tuple(self._native.sway(garment) for garment in range(len(self.rows)))
 
     @sways.setter
@@ -133,7 +129,7 @@ class FrameInput:
         _checked(lambda vector: self._native.move(moment, vector), root)
 
     def follow(self, root: native.RootSample) -> None:
-        """The root moves as a pendulum knows it that is moved elsewhere."""
+        """The root moves as a `RootTracker` knows it."""
         self._native.follow(root)
 
     def begin_frame(self, time: float | None = None) -> None:
@@ -185,7 +181,7 @@ def checked_sway(amount: float) -> float:
 
 def checked_wind(velocity: Sequence[float]) -> tuple[float, float, float]:
     """A velocity (3,) [m/s] of the air, as floats. Raises ValueError, as `FrameInput.wind` does, for what is none."""
-    frame_input = FrameInput([])
+    frame_input = FrameInput(1)
     frame_input.wind = velocity
     return frame_input.wind
 

@@ -73,7 +73,7 @@ class AvatarStream:
     ) -> None:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
-        self.root = RootState(np.array(settings.gravity), FrameInput([False] * len(settings.garments)))
+        self.root = RootState(np.array(settings.gravity), FrameInput(len(settings.garments)))
         self.root.frame_input.sways, self.root.frame_input.wind = settings.sways, settings.wind
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
@@ -149,7 +149,6 @@ class AvatarStream:
             _carry_on(previous, now)
         self.settings = replace(self.settings, body_mesh=mesh, body_rig=rig_file, garments=tuple(garments))
         self._worn = now  # at once: a message is draped by the old one or by the new one
-        self.root.frame_input.set_networks(now.networks)
         known = {worn.stream: worn.revision for worn in previous.garments} if previous else {}
         for worn in now.garments:
             if known.get(worn.stream) != worn.revision:
@@ -241,7 +240,7 @@ class AvatarStream:
         """Drape the pose that has been read, or keep it for the next cloud between poses. arrived: [ns]."""
         if worn.interpolator is not None:
             worn.wire.keep()
-            gravity = self.root.frame_input.rows[:, :4]
+            gravity = self.root.frame_input.rows[:, :3]
             worn.interpolator.push(worn.pose, gravity, sec * NANOSECONDS + nanosec, monotonic_ns())
             return
         if self._drape(worn, sec, nanosec):
@@ -278,7 +277,7 @@ class AvatarStream:
             return
         rows = self.root.frame_input.rows
         latest = rows.copy()
-        stamp = worn.interpolator.sample(monotonic_ns(), worn.pose, rows[:, :4])  # rates are those up to the latest
+        stamp = worn.interpolator.sample(monotonic_ns(), worn.pose, rows[:, :3])  # rates are those up to the latest
         if stamp is not None:
             self._drape(worn, *divmod(stamp, NANOSECONDS))
         rows[:] = latest

@@ -170,7 +170,7 @@ class Pass:
 def passes_of(garments: Sequence[LayerMessages], pose: np.ndarray, inputs: np.ndarray) -> tuple[Pass, ...]:
     """What drapes the garments of an avatar, outfit by outfit, from what these arrays hold then.
 
-    pose: (d,) [rad]. inputs: (garments, 14) as of `FrameInput.rows`.
+    pose: (d,) [rad]. inputs: (garments, 13) as of `FrameInput.rows`.
     """
     passes = []
     for _, worn in groupby(enumerate(garments), key=lambda each: id(each[1].outfit)):
@@ -222,11 +222,6 @@ class WornOutfits:
         self.interpolator = PoseInterpolator(len(self.pose), garment_count) if interpolates else None
         self.garments: tuple[LayerMessages, ...] = ()
         self.passes: tuple[Pass, ...] = ()
-
-    @property
-    def networks(self) -> list[bool]:
-        """Which of the garments sway networks move."""
-        return [each.layer.given.sways_by_network for each in self.garments]
 
     @cached_property
     def bone_rotations(self) -> BoneRotationReader:

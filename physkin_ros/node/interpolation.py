@@ -16,11 +16,11 @@ LONGEST_GAP = 500_000_000  # [ns] joint states farther apart are not joined: the
 
 
 class PoseInterpolator:
-    """Straight lines between the last two poses; gravity is turned along, its size and the twist go straight."""
+    """Straight lines between the last two poses; gravity is turned along, its size goes straight."""
 
     def __init__(self, joint_count: int, garment_count: int = 1) -> None:
         self._pose = np.zeros((2, joint_count), dtype=np.float32)
-        self._gravity = np.zeros((2, garment_count, 4), dtype=np.float32)  # unit direction, and the twist
+        self._gravity = np.zeros((2, garment_count, 3), dtype=np.float32)  # unit direction
         self._size = np.ones((2, garment_count, 1), dtype=np.float32)
         self._arrived = [0, 0]
         self._stamp = [0, 0]
@@ -28,13 +28,12 @@ class PoseInterpolator:
         self._shown = True
 
     def push(self, pose: np.ndarray, gravity: np.ndarray, stamp_ns: int, now_ns: int) -> None:
-        """A joint state's pose (d,) [rad], effective gravity and twist (g, 4), its stamp, and when it came [ns]."""
+        """A joint state's pose (d,) [rad], effective gravity (g, 3), its stamp, and when it came [ns]."""
         for kept in (self._pose, self._gravity, self._size):
             kept[0] = kept[1]
-        self._pose[1], self._gravity[1, :, 3] = pose, gravity[:, 3]
-        self._size[1] = size = np.linalg.norm(gravity[:, :3], axis=1, keepdims=True)
-        # where it is weightless, the last direction stays
-        np.divide(gravity[:, :3], size, out=self._gravity[1, :, :3], where=size > WEIGHTLESS)
+        self._pose[1] = pose
+        self._size[1] = size = np.linalg.norm(gravity, axis=1, keepdims=True)
+        np.divide(gravity, size, out=self._gravity[1], where=size > WEIGHTLESS)  # else the last direction stays
         self._arrived = [self._arrived[1], now_ns]
         self._stamp = [self._stamp[1], stamp_ns]
         self._count += 1
@@ -43,8 +42,8 @@ class PoseInterpolator:
         self._shown = False
 
     def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray) -> int | None:
-        """Write the pose (d,), effective gravity and twist (g, 4) to show now; returns its stamp [ns], None when
-        nothing is new."""
+        """Write the pose (d,) and effective gravity (g, 3) to show now; returns its stamp [ns], None when nothing is
+        new."""
         if self._shown:
             return None
         share = 1.0
@@ -58,8 +57,8 @@ class PoseInterpolator:
             return kept[1] + (kept[1] - kept[0]) * np.float32(share - 1.0)
 
         pose[:], gravity[:], size = map(between, (self._pose, self._gravity, self._size))
-        length = np.linalg.norm(gravity[:, :3], axis=1)
+        length = np.linalg.norm(gravity, axis=1)
         opposite = length < 1e-6  # directions, half way
         gravity[opposite], length[opposite] = self._gravity[1][opposite], 1.0
-        gravity[:, :3] *= size / length[:, None]
+        gravity *= size / length[:, None]
         return self._stamp[1] - round((1.0 - share) * (self._stamp[1] - self._stamp[0]))

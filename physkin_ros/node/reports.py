@@ -76,9 +76,7 @@ class Reports:
             values["layer"] = f"{worn.index + 1} of {len(outfit.layers)} from the skin outwards"
             values["vertices left out"] = f"{whole - layer.vertex_count} of {whole}"
         values["model"] = model
-        by_network = worn is not None and worn.layer.given.sways_by_network
-        index = stream.garments.index(garment)
-        felt = stream.root.effective_gravity(index, monotonic_ns(), has_network=by_network)
+        felt = stream.root.effective_gravity(stream.garments.index(garment), monotonic_ns())
         values["gravity"] = " ".join(f"{value:.3f}" for value in stream.root.direction(0))
         values["effective gravity [m/s2]"] = "none" if felt is None else " ".join(f"{value:.2f}" for value in felt)
         values["wind [m/s]"] = " ".join(f"{value:.2f}" for value in stream.root.frame_input.wind)

@@ -178,8 +178,8 @@ class AvatarSettings:
     )
     sway: float = _key(
         1.0,
-        "how much cloth lags, swings and settles as the root moves (pose, odometry, tf), or leans (imu): 0 to 1. "
-        "At 0 each joint state is draped by itself",
+        "how much cloth lags, swings and settles as joints and the root move: 0 to 1. At 0 each joint state is draped "
+        "by itself",
         changes=True,
         low=0,
         high=1,

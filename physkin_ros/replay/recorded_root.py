@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core import UPRIGHT_GRAVITY, FrameInput, Outfit
+from physkin_core import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.motion.bag_reader import Recorded, decode
 from physkin_core.sway.frame_input import RootSample
 from physkin_ros.root.gravity import EffectiveGravity
@@ -37,7 +37,7 @@ class RecordedRoot:
     ) -> None:
         self.orientation, self.sway = orientation, sway
         self._frames = frame_id, world_frame
-        self.frame_input = FrameInput([False])
+        self.frame_input = FrameInput(1)
         self.frame_input.sways = (sway,)
         self._state = RootState(np.array(gravity), self.frame_input)
         self.down = self._state.direction(0)
@@ -52,10 +52,10 @@ class RecordedRoot:
     def fault(self) -> str:
         return self._root.fault
 
-    def rows(self, outfit: Outfit) -> np.ndarray:
-        """(1, 14) float32, what `Outfit.bind_frame` reads for an outfit of one garment; changed in place by
+    @property
+    def rows(self) -> np.ndarray:
+        """(1, 13) float32, what `Outfit.bind_frame` reads for an outfit of one garment; changed in place by
         `begin_frame`."""
-        self.frame_input.set_networks([layer.given.sways_by_network for layer in outfit.layers])
         return self.frame_input.rows
 
     def take(self, message: Recorded) -> None:

@@ -43,7 +43,7 @@ class Replay:
     root_unknown, names_unknown, out_of_range_clouds.
     reasons: why messages were rejected, with how often. out_of_range: clouds with a joint beyond its limits, by joint.
     frames, times_ns: (T,) which joint state of the bag each cloud answers, and its time of recording.
-    positions, inputs: (T, d) [rad] and (T, 1, 14), what was draped, as `Outfit.bind_frame` takes it.
+    positions, inputs: (T, d) [rad] and (T, 1, 13), what was draped, as `Outfit.bind_frame` takes it.
     down: (T, 3) gravity's unit direction.
     measured: by name as in `--json`, (T,) each: edge_strain_percent, area_strain_percent, latency_us; jitter_mm, mean
     second difference of the vertices over this and the two clouds before, NaN for the first two, jitter_skinning_mm,
@@ -98,7 +98,7 @@ def replay(
     reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.update)
     recent = _Recent(draper, found)
     pose, points = reader.positions.astype(np.float32), np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    inputs, draped = root.rows(draper.outfit), pose.copy()
+    inputs, draped = root.rows, pose.copy()
     step = draper.bind_frame(draped, inputs, points)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
         step()

@@ -82,7 +82,7 @@ def _cloth(found: Replay, draper: Draper, row: int) -> np.ndarray:
     for each in range(first, row + 1):
         pose[:], inputs[:] = found.positions[each], found.inputs[each]
         if each == first:
-            inputs[:, 3:] = FrameInput([False]).rows[:, 3:]  # the first frame of all
+            inputs[:, 3:] = FrameInput(1).rows[:, 3:]  # the first frame of all
         step()
     return points[:, :3].astype(np.float64)
 

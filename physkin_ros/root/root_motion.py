@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from physkin_core.sway.frame_input import Pendulum, RootSample
+from physkin_core.sway.frame_input import RootSample, RootTracker
 from physkin_ros.root.gravity import SAME_CLOCK, gravity_from_quaternion
 from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
 
@@ -17,12 +17,12 @@ class RootMotion:
     """Of one avatar."""
 
     def __init__(self) -> None:
-        self._pendulum: Pendulum | None = Pendulum()
+        self._tracker: RootTracker | None = RootTracker()
         self._last_ns = 0
 
     def still(self) -> None:
         """Let the motion count no more, only gravity's direction."""
-        self._pendulum = None
+        self._tracker = None
 
     def follows(self, stamp_ns: int) -> bool:
         """Whether a message of this stamp comes after the last; a clock that begins anew, or no stamp, does, too."""
@@ -43,6 +43,6 @@ class RootMotion:
             raise OrientationError(f"the root's pose is stamped {1e-9 * (self._last_ns - stamp_ns):.3f} s back")
         self._last_ns = stamp_ns
         sample = None
-        if self._pendulum is not None and stamp_ns:
-            sample = self._pendulum.move(1e-9 * stamp_ns, np.array((*place, *turn), dtype=np.float64))
+        if self._tracker is not None and stamp_ns:
+            sample = self._tracker.move(1e-9 * stamp_ns, np.array((*place, *turn), dtype=np.float64))
         return gravity_from_quaternion(turn), sample

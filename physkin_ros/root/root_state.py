@@ -46,13 +46,13 @@ class RootState:
         """Whether it is known, and fresh, how the root moves."""
         return self._motions.at(0, now_ns) is not None
 
-    def effective_gravity(self, garment: int, now_ns: int, *, has_network: bool) -> np.ndarray | None:
-        """The latest (3,) [m/s2] that a garment feels; None where it is not known how the root moves, or where a sway
-        network, if it has one, is given that motion instead."""
+    def effective_gravity(self, garment: int, now_ns: int) -> np.ndarray | None:
+        """The latest (3,) [m/s2] that a garment feels of a root of which nothing but its acceleration is known; else
+        None."""
         known = self._motions.at(0, now_ns)
-        if known is None or (has_network and isinstance(known, RootSample)):
+        if not isinstance(known, EffectiveGravity):
             return None
-        felt = FrameInput([False])
+        felt = FrameInput(1)
         felt.sways, felt.wind = self.frame_input.sways[garment : garment + 1], self.frame_input.wind
         _tell(felt, known)
         felt.begin_frame()

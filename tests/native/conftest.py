@@ -60,7 +60,7 @@ def random_bound_garment(
             "fabric_weights": rng.uniform(0.5, 2, size=fabrics).astype(np.float32),
             "fabric_sway_shifts": rng.normal(size=(fabrics, shifts)).astype(np.float32),
         }
-    bound = BoundGarment(
+    return BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
         dof_bone=rng.integers(0, bones, size=dofs).astype(np.int32),
@@ -80,10 +80,6 @@ def random_bound_garment(
         influence_weights=weights.astype(np.float32),
         **parts,
     )
-    # Those of one bone in part, as by a thigh, which holds twist back when raised; of others in full or not at all.
-    share = rng.uniform(-0.5, 1, size=nodes)
-    twist = np.where(bound.node_bone == 0, np.maximum(share, 0), share > 0)
-    return replace(bound, node_twist=twist.astype(np.float32))
 
 
 @pytest.fixture(scope="session")
@@ -137,7 +133,6 @@ def make_frames():
                 positions,
                 told(
                     gravity,
-                    twist=0.3 * rng.normal(),
                     passed=elapsed if elapsed < 0.3 else -1.0,
                     sway=rng.choice([1.0, 0.4, 0.0], p=[0.8, 0.15, 0.05]),
                     elapsed=elapsed,

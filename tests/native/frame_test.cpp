@@ -82,7 +82,8 @@ long run_frames(const physkin::BoundGarment& g, const physkin::Kernels& kernels,
   Output one(g.vertex_count), first(g.vertex_count), second(g.vertex_count);
   const auto q = uniform(g.dofs, -1, 1);
   physkin::FrameInput input(2);
-  for (int k = 0; k < 2; ++k) input.set_network(k, true);
+  const double wind[3] = {3, -1, 0};
+  if (input.set_wind(wind) != nullptr) std::abort();
   const physkin::VertexRows full[] = {first.full, second.full}, positions[] = {first.positions, second.positions};
   const long before = allocations;
   for (int frame = 0; frame < 3; ++frame) {
@@ -109,7 +110,7 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   const auto heads = uniform(3 * bones, -1, 1), axis = uniform(3 * dofs, -1, 1), rest = uniform(dofs, -1, 1);
   const auto lower = uniform(dofs, -2, -1), upper = uniform(dofs, 1, 2);
   const auto dof_bone = indices(dofs, bones), node_bone = indices(nodes, bones);
-  const auto positions = uniform(3 * nodes, -1, 1), twist = uniform(nodes, 0, 1);
+  const auto positions = uniform(3 * nodes, -1, 1);
   const auto points = uniform(3 * vertices, -1, 1), normals = uniform(3 * vertices, -1, 1);
   const auto influence_nodes = indices(std::size_t(vertices) * influences, nodes);
   const auto weights = uniform(std::size_t(vertices) * influences, 0, 1);
@@ -152,8 +153,6 @@ long run(const physkin::Kernels& kernels, physkin::Precision precision, int bone
   g.influence_nodes = influence_nodes.data();
   g.influence_weights = weights.data();
 
-  g.node_twist = twist.data();
-  g.twist_size = nodes;
   g.sway_joints = joints.data();
   g.sway_joint_count = dofs;
   g.sway_layers = driver.layers;

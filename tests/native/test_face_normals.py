@@ -83,8 +83,9 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
     sums, areas = np.zeros((points, 3)), np.zeros(points)
     np.add.at(sums, garment.faces, np.cross(b - a, c - a)[:, None])
     np.add.at(areas, garment.faces, np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None])
-    length = np.linalg.norm(sums, axis=1)
-    assert (np.abs(out[:, 3:] - sums / length[:, None]).max(axis=1) * length / areas).max() < 2e-6
+    used, length = areas > 0, np.linalg.norm(sums, axis=1)  # maybe not all
+    away = np.abs(out[used, 3:] - sums[used] / length[used, None]).max(axis=1)
+    assert (away * length[used] / areas[used]).max() < 2e-6 and used.sum() >= points - 2
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -119,7 +120,7 @@ def test_layers_are_ordered_by_normals_carried_along(make_garment, make_pose):
     inside = cloth_of(inner.vertices, inner.faces)
     order = bind_layer_order(0, 1, (inside[:, :3], outside[:, :3]), (inner.faces,) * 2, [(inside, outside)])
     garment = make_garment(rng, nodes=1, influences=1, vertices=len(dent), detail_nodes=12)
-    garment = replace(garment, detail_offsets=0.02 * garment.detail_offsets, node_twist=np.zeros(1, np.float32))
+    garment = replace(garment, detail_offsets=0.02 * garment.detail_offsets)
     worn = [replace(garment, vertices=each[:, :3].copy(), normals=each[:, 3:].copy()) for each in (inside, within)]
     with_faces = [replace(each, faces=inner.faces.astype(np.int32)) for each in worn]
     pose, gravity = make_pose(rng, garment)

@@ -102,7 +102,6 @@ def changed(array, index, value):
             lambda g: dict(deformer_layers=((g.deformer_layers[0][0], g.dof_rest), *g.deformer_layers[1:])),
             "bias must be",
         ),
-        (lambda g: dict(node_twist=g.node_twist[1:]), "node_twist has"),
         (lambda g: dict(faces=np.array([[0, 1, 2], [3, 50, 4]], np.int32)), r"faces\[4\].* is 50"),
         (lambda g: dict(faces=np.array([[0, -1, 2]], np.int32)), r"faces\[1\].* is -1"),
     ],

@@ -64,13 +64,13 @@ def test_a_drape_by_itself_agrees_with_the_reference(shape, make_garment, make_p
 
 @pytest.mark.parametrize("shape, thighs", [("odd widths", [1]), ("many influences", []), ("default rig", [9])])
 def test_a_motion_agrees_with_the_reference(shape, thighs, make_garment, make_frames):
-    """Frames that are told anything: pace, twist and a sway network, each of which moves the cloth. A bound step gives
+    """Frames that are told anything: pace and a sway network, each of which moves the cloth. A bound step gives
     the same bits."""
     rng = np.random.default_rng(list(f"moving {shape}".encode()))
     g = make_garment(rng, **SHAPES[shape], learnt_sway=True)
     g = replace(g, sway_thighs=np.array(thighs, dtype=np.int32))
     reference, frames = ReferenceFrame([g]), [NativeFrame([g], instruction_set=level) for level in LEVELS]
-    without = {name: ReferenceFrame([g]) for name in ("twist", "passed", "sway")}
+    without = {name: ReferenceFrame([g]) for name in ("passed", "sway")}
     stepped = np.empty((len(g.vertices), 6), dtype=np.float32)
     q_now, row_now, moved = np.zeros(len(g.dof_bone), np.float32), told()[None], dict.fromkeys(without, 0.0)
     step = NativeFrame([g], instruction_set=LEVELS[-1]).bind_frame(q_now, row_now, [stepped])

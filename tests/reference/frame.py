@@ -8,7 +8,6 @@ from reference.guard.cloth_dents import dents
 from reference.guard.skin_guard import kept_out
 from reference.layer_order import LayerOrder
 from reference.networks import last_hidden, mlp, silu
-from reference.node_twist import twisted
 from reference.pace import FeaturePace, Pace
 from reference.skeleton import bone_transforms, pose_vector
 from reference.skinning import face_normals, skin, unit
@@ -31,7 +30,7 @@ class ReferenceFrame:
         self._normals, self._last = normals, None
 
     def evaluate(self, joint_positions, rows, outs):
-        """Write one frame. joint_positions: (d,). rows: (g, 14), a `FrameInput` each. outs: of each garment (n, 6), x,
+        """Write one frame. joint_positions: (d,). rows: (g, 13), a `FrameInput` each. outs: of each garment (n, 6), x,
         y, z and unit normal, or (n, 3)."""
         q, inputs = np.asarray(joint_positions, dtype=np.float64), [FrameInput.of(row) for row in rows]
         given = np.stack([np.r_[q, each.gravity] for each in inputs])
@@ -92,8 +91,6 @@ class _Garment:
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
         nodes = correct_nodes(posed, self.corrections)
         nodes = self._pace.kept(posed, nodes, passed)
-        if row.twist and bound.node_twist.any():
-            nodes = twisted(nodes, bones, bound.node_twist.astype(np.float64), bound.node_bone, row.twist)
         sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
         self.nodes, still_moved = kept_out(bound, bones, nodes, sway, self.features)
         self.dents = dents(bound, bones, self.nodes, still_moved, self.features)

@@ -184,7 +184,7 @@ def test_what_is_refused(bound, tmp_path):
         (lambda data: b"", "the file has 0 bytes; it is cut off or no safetensors file"),
         (
             lambda data: edited_header(gzip.decompress(data), older),
-            "the file has schema version '8'; this library reads 9",
+            "the file has schema version '9'; this library reads 10",
         ),
         (lambda data: gzip.decompress(data)[:-1] + b"!", "its SHA-256 digest does not match"),
     ],
@@ -197,7 +197,7 @@ def test_other_files_are_refused(damage, message, bound, tmp_path):
 
 def older(header):
     """Of another version."""
-    header["__metadata__"]["schema_version"] = "8"
+    header["__metadata__"]["schema_version"] = "9"
 
 
 def test_garments_of_another_rig_know_no_vrm(tmp_path):

@@ -23,11 +23,8 @@ bool same_rig(const BoundGarment& a, const BoundGarment& b) {
 
 Rejection check(const GarmentInput& input) {
   if (const auto bad = reject_beyond("gravity", input.gravity, 3, FLT_MAX)) return bad;
-  const std::pair<const char*, const float*> scalars[] = {{"twist", &input.twist},
-                                                          {"passed", &input.passed},
-                                                          {"sway", &input.sway},
-                                                          {"elapsed", &input.elapsed},
-                                                          {"moves", &input.moves}};
+  const std::pair<const char*, const float*> scalars[] = {
+      {"passed", &input.passed}, {"sway", &input.sway}, {"elapsed", &input.elapsed}, {"moves", &input.moves}};
   for (const auto& [name, value] : scalars) {
     if (const auto bad = reject_beyond(name, value, 1, FLT_MAX)) return bad;
   }

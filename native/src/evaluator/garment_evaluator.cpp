@@ -147,7 +147,6 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   } else {
     pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_);
   }
-  garment_nodes_.twist(bone_transforms_, input.twist, node_transforms_);
   for (SkinPart& part : skin_) part.pose(bone_transforms_);
   if (skin_guard_) {
     const SkinGuard::Cloth cloth{corrections_, still_corrections_, detail_offsets_};

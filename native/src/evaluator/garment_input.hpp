@@ -7,7 +7,6 @@ namespace physkin {
 // itself, which neither goes on from the frame before nor sways, has gravity alone, and all else as it is here.
 struct GarmentInput {
   float gravity[3] = {0, 0, -1};  // effective gravity in units of gravity: 1 long for a root at rest
-  float twist = 0;                // [rad] of cloth that hangs round both legs, about the root's vertical
   float passed = -1;       // [s] since the last frame, by which cloth keeps its pace; negative: that does not count,
                            // and kStandsAlone: the next frame does not go on from this one either
   float sway = 0;          // how much of a sway network's offsets counts, to 1; at 0 it forgets what was before
@@ -18,7 +17,7 @@ struct GarmentInput {
 };
 
 constexpr float kStandsAlone = -2;
-constexpr int kGarmentInput = 14;
+constexpr int kGarmentInput = 13;
 static_assert(sizeof(GarmentInput) == kGarmentInput * sizeof(float));
 
 }  // namespace physkin

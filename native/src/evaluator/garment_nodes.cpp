@@ -1,16 +1,9 @@
 #include "evaluator/garment_nodes.hpp"
 
-#include <algorithm>
-#include <cmath>
-#include <numeric>
-
 #include "evaluator/affine.hpp"
 
 namespace physkin {
 namespace {
-
-// A thigh this upright (cosine) holds all twist back, as cloth lies on it, and one as upright as the second none.
-constexpr float kLiesOn = 0.6f, kHangs = 0.9f;
 
 // 12 numbers: the difference of the linear part from identity, row-major, then the translation.
 Affine decode_affine(const float* c) {
@@ -22,11 +15,7 @@ Affine decode_affine(const float* c) {
 }  // namespace
 
 GarmentNodes::GarmentNodes(const BoundGarment& g, Arena& arena)
-    : count_(g.nodes),
-      bone_(arena.copy(g.node_bone, g.nodes)),
-      positions_(arena.copy(g.node_positions, 3 * g.nodes)),
-      shares_(g.twist_size > 0 ? arena.copy(g.node_twist, g.nodes) : nullptr),
-      shares_total_(std::accumulate(g.node_twist, g.node_twist + std::max(g.twist_size, 0), 0.0f)) {}
+    : count_(g.nodes), bone_(arena.copy(g.node_bone, g.nodes)), positions_(arena.copy(g.node_positions, 3 * g.nodes)) {}
 
 void GarmentNodes::compose(const float* bone_transforms, const float* corrections, float* transforms) const {
   for (int i = 0; i < count_; ++i, corrections += 12) {
@@ -45,28 +34,6 @@ Affine GarmentNodes::added(int node, const float* bone_transforms, const float* 
   for (int k = 0; k < 12; ++k) apart[k] = corrections[12 * node + k] - others[12 * node + k];
   const Matrix3 linear{{load_vector(apart), load_vector(apart + 3), load_vector(apart + 6)}};
   return {bone * linear, bone * load_vector(apart + 9)};
-}
-
-void GarmentNodes::twist(const float* bone_transforms, float twist, float* transforms) const {
-  if (twist == 0 || !(shares_total_ > 0)) return;
-  float upright = 0, least = 1;
-  for (int i = 0; i < count_; ++i) {
-    const float own = bone_transforms[12 * bone_[i] + 10];
-    upright += shares_[i] * own;
-    if (shares_[i] > 0 && shares_[i] < 1) least = std::min(least, own);  // by the thighs: below, cloth twists in full
-  }
-  const float hangs = std::clamp((least - kLiesOn) / (kHangs - kLiesOn), 0.0f, 1.0f);
-  twist *= std::max(upright / shares_total_, 0.0f) * hangs * hangs * (3 - 2 * hangs);
-  for (int i = 0; i < count_; ++i, transforms += 12) {
-    if (shares_[i] == 0) continue;
-    const float angle = shares_[i] * twist, cosine = std::cos(angle), sine = std::sin(angle);
-    for (int k = 0; k < 4; ++k) {
-      const float x = transforms[k], y = transforms[k + 4];
-      transforms[k] = cosine * x - sine * y;
-      transforms[k + 4] = sine * x + cosine * y;
-    }
-    transforms[11] += kTwistLift * twist * angle;
-  }
 }
 
 }  // namespace physkin

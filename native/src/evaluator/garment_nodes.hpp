@@ -7,9 +7,6 @@
 
 namespace physkin {
 
-// [m/rad2] Threads that twist hang askew: what cloth rises by, where it twists as the pendulum does.
-constexpr float kTwistLift = 0.2f;
-
 class GarmentNodes {
  public:
   GarmentNodes(const BoundGarment& garment, Arena& arena);
@@ -21,11 +18,6 @@ class GarmentNodes {
   // What `compose` makes of a garment node by corrections, less what it makes of it by others (nodes, 12).
   Affine added(int node, const float* bone_transforms, const float* corrections, const float* others) const;
 
-  // Turns them by their shares of `twist` [rad] about the root's vertical, and lifts them, as far as the legs that they
-  // follow are upright, and not at all where a thigh is raised: cloth would be turned through it. Does nothing to cloth
-  // that does not twist.
-  void twist(const float* bone_transforms, float twist, float* transforms) const;
-
   int bone(int node) const { return bone_[node]; }
   Vector3 position(int node) const { return load_vector(positions_ + 3 * node); }  // at rest, in its bone
   int count() const { return count_; }
@@ -34,8 +26,6 @@ class GarmentNodes {
   int count_;
   const std::int32_t* bone_;
   const float* positions_;
-  const float* shares_;  // null where cloth does not twist
-  float shares_total_;
 };
 
 }  // namespace physkin

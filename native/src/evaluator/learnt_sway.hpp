@@ -38,8 +38,7 @@ class LearntSway {
   void forget() noexcept { begins_ = true; }
 
   // The node deformer's corrections with what sways added, as much as the input says; valid until the next call.
-  // positions (dofs) in radians, and what bones make of them. The network knows gravity of a root that is not accelerated,
-  // and of wind.
+  // positions (dofs) in radians, and what bones make of them. Gravity is effective gravity as it is given, of any length.
   const float* added(const float* corrections, const float* positions, const float* bone_transforms,
                      const GarmentInput& input) noexcept;
 

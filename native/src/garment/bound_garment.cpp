@@ -67,7 +67,6 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.layers("detail_layers", g.detail_layers);
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
   visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
-  visit.floats("node_twist", g.node_twist, {&g.twist_size});
   visit.indices("sway_joints", g.sway_joints, {&g.sway_joint_count}, 0, g.dofs);
   visit.layers("sway_layers", g.sway_layers);
   visit.floats("sway_rates", g.sway_rates, {&g.sway_states});
@@ -134,7 +133,6 @@ struct Describer {
                                                         {&g.bones, "bones"},
                                                         {&g.dofs, "degrees of freedom"},
                                                         {&g.deformer_bone_count, "deformer bones"},
-                                                        {&g.twist_size, "twisting nodes"},
                                                         {&g.face_count, "faces"},
                                                         {&g.fabrics, "fabrics"},
                                                         {&g.fabric_modulation, "modulation"},
@@ -354,10 +352,6 @@ void validate(const BoundGarment& garment) {
       fail(element("bone_parents", j) + " is " + std::to_string(g.bone_parents[j]) +
            "; must be -1 or the index of an earlier bone");
     }
-  }
-  if (g.twist_size != 0 && g.twist_size != g.nodes) {
-    fail("node_twist has " + std::to_string(g.twist_size) + " values; expected none, or one for each of " +
-         std::to_string(g.nodes) + " garment nodes");
   }
   for (int k = 0; k < g.dofs; ++k) {
     if (!(g.dof_lower[k] < g.dof_upper[k])) {

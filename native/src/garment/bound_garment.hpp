@@ -42,7 +42,7 @@ struct ClothSampling {
 
 // Metres, radians, root frame.
 struct BoundGarment : SkinningData {
-  int bones = -1, dofs = -1, deformer_bone_count = -1, twist_size = -1;
+  int bones = -1, dofs = -1, deformer_bone_count = -1;
   int sway_joint_count = -1, sway_states = -1, sway_thigh_count = -1;
   int skin_parts = -1, skin_splines = -1;
 
@@ -70,7 +70,6 @@ struct BoundGarment : SkinningData {
 
   const std::int32_t* node_bone = nullptr;  // (nodes,)
   const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
-  const float* node_twist = nullptr;        // (twist_size,) share of each garment node, or none: cloth does not twist
   // How garment nodes sway as joints and root move, or none: they do not.
   const std::int32_t* sway_joints = nullptr;  // (sway_joint_count,) that it looks at
   std::vector<DenseWeights> sway_layers;
@@ -112,7 +111,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "9";
+constexpr char kBoundGarmentVersion[] = "10";
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

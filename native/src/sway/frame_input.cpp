@@ -13,23 +13,10 @@ GarmentInput under(const double* gravity) {
   return row;
 }
 
-// Effective gravity, and the twist, of cloth that swings as much as `amount`.
-GarmentInput swung(const RootSample& root, double amount) {
-  double world[3], felt[3];
-  for (int k = 0; k < 3; ++k) world[k] = amount * root.deflection[k];
-  world[2] -= kStandardGravity;
-  carry_back(root.turn, world, felt);
-  const double shrink = std::min(1.0, kLargestFelt * kStandardGravity / std::max(length_of(felt), 1e-9));
-  for (double& value : felt) value = value * shrink / kStandardGravity;
-  GarmentInput row = under(felt);
-  row.twist = float(amount * root.twist);
-  return row;
-}
-
 }  // namespace
 
 void FrameInput::reset() noexcept {
-  pendulum_.reset();
+  root_.reset();
   has_time_ = false;
   passed_ = -1;
 }
@@ -37,7 +24,7 @@ void FrameInput::reset() noexcept {
 const char* FrameInput::hang(const double* direction) noexcept {
   if (!(std::abs(length_of(direction) - 1) <= 1e-3)) return "gravity must be a unit direction (3,)";
   std::fill(rows_.begin(), rows_.end(), under(direction));
-  rates_known_ = sway_networks_apply_ = true;
+  rates_known_ = true;
   wind_.face_level(direction);
   return nullptr;
 }
@@ -50,12 +37,12 @@ const char* FrameInput::accelerate(const double* effective_gravity, const double
   for (std::size_t k = 0; k < rows_.size(); ++k) {
     double own[3];
     for (int axis = 0; axis < 3; ++axis) {
-      const double start = at_rest == nullptr ? 0 : at_rest[axis], share = at_rest == nullptr ? 1 : garments_[k].sway;
+      const double start = at_rest == nullptr ? 0 : at_rest[axis], share = at_rest == nullptr ? 1 : sways_[k];
       own[axis] = (start + share * (felt[axis] - start)) / kStandardGravity;
     }
     rows_[k] = under(own);
   }
-  sway_networks_apply_ = false;
+  rates_known_ = true;
   if (at_rest == nullptr) {
     wind_.leave_out();
   } else {
@@ -67,22 +54,19 @@ const char* FrameInput::accelerate(const double* effective_gravity, const double
 }
 
 void FrameInput::follow(const RootSample& root) noexcept {
-  for (std::size_t k = 0; k < rows_.size(); ++k) {
-    const auto [has_network, sway] = garments_[k];
-    GarmentInput& row = rows_[k] = has_network || sway == 0 ? under(root.gravity) : swung(root, sway);
-    for (int axis = 0; axis < 3; ++axis) {
-      row.velocity[axis] = float(std::clamp(root.velocity[axis], -kFastest, kFastest));
-      row.turning[axis] = float(std::clamp(root.turning[axis], -kFastest, kFastest));
-    }
+  GarmentInput row = under(root.gravity);
+  for (int axis = 0; axis < 3; ++axis) {
+    row.velocity[axis] = float(std::clamp(root.velocity[axis], -kFastest, kFastest));
+    row.turning[axis] = float(std::clamp(root.turning[axis], -kFastest, kFastest));
   }
+  std::fill(rows_.begin(), rows_.end(), row);
   rates_known_ = root.known;
-  sway_networks_apply_ = true;
   wind_.face(root.turn);
 }
 
 const char* FrameInput::move(double time, const double* root) noexcept {
-  if (const char* wrong = pendulum_.move(time, root)) return wrong;
-  follow(pendulum_.sample());
+  if (const char* wrong = root_.move(time, root)) return wrong;
+  follow(root_.sample());
   return nullptr;
 }
 
@@ -96,11 +80,10 @@ const char* FrameInput::begin_frame(double time) noexcept {
     has_time_ = true;
   }
   for (std::size_t k = 0; k < rows_.size(); ++k) {
-    const auto [has_network, sway] = garments_[k];
     GarmentInput& row = rows_[k];
-    const bool swings = sway > 0;
+    const bool swings = sways_[k] > 0;
     row.passed = swings ? passed_ : -1;
-    row.sway = swings && has_network && sway_networks_apply_ ? float(sway) : 0;
+    row.sway = float(sways_[k]);
     row.elapsed = swings ? elapsed : -1;
     row.moves = swings && rates_known_ && passed_ >= 0 ? 1.0f : 0.0f;
   }

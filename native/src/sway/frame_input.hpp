@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "evaluator/garment_input.hpp"
-#include "sway/pendulum.hpp"
+#include "sway/root_tracker.hpp"
 #include "sway/wind.hpp"
 
 namespace physkin {
@@ -22,16 +22,11 @@ constexpr double kFastest = 1e6;
 
 class FrameInput {
  public:
-  explicit FrameInput(int garments) : garments_(std::size_t(garments)), rows_(std::size_t(garments)) {}
+  explicit FrameInput(int garments) : sways_(std::size_t(garments), 1), rows_(std::size_t(garments)) {}
 
-  // Whether a sway network moves a garment: it is then given the root's rates under gravity as of a root at rest, and
-  // not what the pendulum feels.
-  void set_network(int garment, bool has_network) noexcept {
-    garments_[std::size_t(garment)].has_network = has_network;
-  }
   // How much its cloth swings: 0, it hangs as if nothing had moved, to 1, all of it.
-  void set_sway(int garment, double amount) noexcept { garments_[std::size_t(garment)].sway = amount; }
-  double sway(int garment) const noexcept { return garments_[std::size_t(garment)].sway; }
+  void set_sway(int garment, double amount) noexcept { sways_[std::size_t(garment)] = amount; }
+  double sway(int garment) const noexcept { return sways_[std::size_t(garment)]; }
 
   // Wind that blows from now on, whatever sways: velocity [m/s] (3) in the world of the root, at most kLargestWind long.
   const char* set_wind(const double* velocity) noexcept { return wind_.set(velocity); }
@@ -46,9 +41,9 @@ class FrameInput {
   // Each garment feels as much of what that differs from `at_rest` (3) as it sways, and wind as of `hang`. Null: all of
   // it, and wind is taken to be in it.
   const char* accelerate(const double* effective_gravity, const double* at_rest) noexcept;
-  // The root moves as a pendulum knows it.
+  // The root moves as a tracker knows it.
   void follow(const RootSample& root) noexcept;
-  // The same by a pendulum of its own; as Pendulum::move.
+  // The same by a tracker of its own; as RootTracker::move.
   const char* move(double time, const double* root) noexcept;
 
   // A frame at `time` [s], of any clock, at any rate. After more than a quarter of a second, or where the clock goes
@@ -63,18 +58,13 @@ class FrameInput {
   GarmentInput* rows() noexcept { return rows_.data(); }
 
  private:
-  struct Garment {
-    bool has_network = false;
-    double sway = 1;
-  };
-
   void blow(double seconds) noexcept;
 
-  std::vector<Garment> garments_;
+  std::vector<double> sways_;
   std::vector<GarmentInput> rows_;
-  Pendulum pendulum_;
+  RootTracker root_;
   Wind wind_;
-  bool rates_known_ = true, sway_networks_apply_ = true;
+  bool rates_known_ = true;
   bool has_time_ = false;
   double time_ = 0;
   float passed_ = -1;

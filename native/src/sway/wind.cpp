@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "sway/pendulum.hpp"
+#include "sway/root_tracker.hpp"
 
 namespace physkin {
 

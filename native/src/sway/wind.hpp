@@ -9,7 +9,7 @@ namespace physkin {
 
 constexpr double kAirDrag = 2.0;        // [1/s] deceleration of cloth over its speed through still air, as simulated
 constexpr double kLargestWind = 13;     // [m/s] with gravity across it, cloth then feels 2.8 times gravity
-constexpr double kLargestFelt = 2.999;  // in units of gravity: neither pendulum nor wind asks for what would be refused
+constexpr double kLargestFelt = 2.999;  // in units of gravity: wind never asks for what would be refused
 constexpr double kFastestGust = 30;     // [m/s2] wind that is set anew rises, falls and turns no faster
 
 class Wind {

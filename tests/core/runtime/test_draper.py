@@ -221,7 +221,7 @@ def test_a_bound_frame_reads_its_arrays_as_they_are_now(garment_model):
     """And drapes as a draper does."""
     avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
     draper, again = Draper(garment_model, avatar), Draper(garment_model, avatar)
-    positions, frame_input = garment_model.rig.rest.astype(np.float32), FrameInput([False])
+    positions, frame_input = garment_model.rig.rest.astype(np.float32), FrameInput(1)
     out = np.zeros((draper.vertex_count, 6), dtype=np.float32)
     step = draper.bind_frame(positions, frame_input.rows, out)
     for bend in (0.0, 0.3):
@@ -352,7 +352,7 @@ def test_effective_gravity():
     np.testing.assert_allclose(draper.drape(pose, effective_gravity=9.81 * down), usual, atol=1e-6)
     for size in (0.0, 5.0, 29.0):
         assert np.abs(draper.drape(pose, effective_gravity=size * down) - usual).max() > 1e-5
-    frame_input, out = FrameInput([False]), np.empty_like(usual)
+    frame_input, out = FrameInput(1), np.empty_like(usual)
     step = draper.bind_frame(pose, frame_input.rows, out)  # bound to arrays
     for size in (0.0, 5.0, 29.0):
         frame_input.fill(effective_gravity=size * down)

@@ -1,4 +1,4 @@
-"""What garments are given of a frame, apart from a root that moves."""
+"""What garments are given of a frame, as far as gravity and time go."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,14 @@ from native_frames import told
 from scipy.spatial.transform import Rotation
 
 from physkin_core import FrameInput
-from physkin_core.sway.frame_input import Pendulum
+from physkin_core.sway.frame_input import RootTracker
 
 DOWN = np.array([0.6, 0.0, -0.8])
 STANDS_ALONE = -2.0
 
 
-def rows(networks, **given):
-    frame_input = FrameInput(networks)
+def rows(garments, **given):
+    frame_input = FrameInput(garments)
     frame_input.fill(**given)
     return frame_input.rows
 
@@ -22,12 +22,12 @@ def test_a_frame_that_stands_by_itself_has_gravity_alone():
     """Of any length but zero; effective gravity is in units of gravity."""
     expected = np.stack([told(DOWN, passed=STANDS_ALONE)] * 2)
     for given in ({"gravity": DOWN}, {"gravity": 1e3 * DOWN}, {"effective_gravity": 9.81 * DOWN}):
-        np.testing.assert_allclose(rows([False, True], **given), expected, atol=1e-7)
-    assert not rows([False], effective_gravity=np.zeros(3))[0, :3].any()
+        np.testing.assert_allclose(rows(2, **given), expected, atol=1e-7)
+    assert not rows(1, effective_gravity=np.zeros(3))[0, :3].any()
 
 
 def test_a_direction_is_of_unit_length():
-    frame_input = FrameInput([False])
+    frame_input = FrameInput(1)
     for wrong in (1.01 * DOWN, np.zeros(3), [0, 0, np.nan]):
         with pytest.raises(ValueError, match=r"gravity must be a unit direction \(3,\), got \["):
             frame_input.hang(wrong)
@@ -36,42 +36,45 @@ def test_a_direction_is_of_unit_length():
 
 
 def test_an_effective_gravity_is_finite_and_three_times_gravity_at_most():
-    frame_input = FrameInput([False])
+    frame_input = FrameInput(1)
     for wrong in ([0, 0, -29.5], [0, np.nan, 0], [np.nan, 0, 0], [0, 0, np.nan], [0, np.inf, 0]):
         with pytest.raises(ValueError, match=r"effective_gravity must be .* up to 29.4 m/s2 long, got \["):
             frame_input.accelerate(wrong)
 
 
 def test_each_garment_feels_as_much_of_an_acceleration_as_it_sways():
-    """Of what differs from a root at rest, where that is known. A network knows nothing of it, and begins anew."""
-    frame_input = FrameInput([False, False, True])
-    frame_input.sways = (1.0, 0.5, 1.0)
+    """Of what differs from a root at rest, where that is known. A sway network goes on, of a root whose velocity is not
+    known, under that gravity."""
+    frame_input = FrameInput(3)
+    frame_input.sways = (1.0, 0.5, 0.0)
     felt, at_rest = np.array([3.0, 0.0, -8.0]), np.array([0.0, 0.0, -9.81])
-    frame_input.accelerate(felt, at_rest)
-    frame_input.begin_frame(1.0)
+    for time in (1.0, 1.02):
+        frame_input.accelerate(felt, at_rest)
+        frame_input.begin_frame(time)
     half = (felt + at_rest) / 2
-    np.testing.assert_allclose(9.81 * frame_input.rows[:, :3], [felt, half, felt], atol=1e-6)
-    assert not frame_input.rows[:, 5].any()
+    np.testing.assert_allclose(9.81 * frame_input.rows[:, :3], [felt, half, at_rest], atol=1e-6)
+    np.testing.assert_allclose(frame_input.rows[:2, 3:7], [[0.02, 1, 0.02, 1], [0.02, 0.5, 0.02, 1]], atol=1e-6)
+    assert not frame_input.rows[:, 7:].any()
     frame_input.accelerate(felt)
     np.testing.assert_allclose(9.81 * frame_input.rows[:, :3], [felt] * 3, atol=1e-6)
 
 
-def test_a_pendulum_that_is_moved_elsewhere_is_followed():
+def test_a_root_that_is_tracked_elsewhere_is_followed():
     """As one of its own; of its first pose no rates are known."""
-    own, follows, pendulum = FrameInput([False, True]), FrameInput([False, True]), Pendulum()
+    own, follows, tracker = FrameInput(2), FrameInput(2), RootTracker()
     for k in range(20):
         root = np.array([0.01 * k * k, 0, 0.9, *Rotation.from_euler("z", 0.05 * k).as_quat()])
-        sample = pendulum.move(k / 60, root)
+        sample = tracker.move(k / 60, root)
         assert sample.known == (k > 0)
         follows.follow(sample)
         follows.begin_frame(k / 60)
         own.fill(time=k / 60, root=root)
         np.testing.assert_array_equal(follows.rows, own.rows)
-    assert own.rows[0, 3] < -0.05 and own.rows[1, 8] > 1 and not own.rows[1, 3]
+    assert own.rows[1, 7] > 1 and own.rows[1, 12] == pytest.approx(3)
 
 
 def test_times_that_are_not_finite_are_refused():
-    frame_input = FrameInput([False])
+    frame_input = FrameInput(1)
     for wrong in (np.nan, np.inf):
         for begin in (frame_input.begin_frame, lambda time: frame_input.move(time, (0, 0, 0, 0, 0, 0, 1))):
             with pytest.raises(ValueError, match=f"time must be finite, got {wrong}"):
@@ -80,7 +83,7 @@ def test_times_that_are_not_finite_are_refused():
 
 def test_a_frame_without_a_time_ends_what_was_before():
     """The next one is as a first one, whatever time it is."""
-    moved, fresh = FrameInput([False, True]), FrameInput([False, True])
+    moved, fresh = FrameInput(2), FrameInput(2)
     for k in range(20):
         root = np.array([0.01 * k * k, 0, 0.9, *Rotation.from_euler("z", 0.05 * k).as_quat()])
         moved.fill(time=k / 60, root=root)
@@ -92,13 +95,9 @@ def test_a_frame_without_a_time_ends_what_was_before():
     assert np.abs(moved.rows - before).max() > 0.1
 
 
-def test_other_garments_are_told_otherwise():
-    """Once they are there: a network is given no twist, but rates that count."""
-    frame_input = FrameInput([False])
-    for k, networks in enumerate([(False,), (False,), (True,)]):
-        frame_input.set_networks(networks)
-        root = (0, 0, 0.9, *Rotation.from_euler("z", 0.2 * k).as_quat())
-        frame_input.fill(time=k / 30, root=root)
-        assert frame_input.rows[0, 5] == networks[0] and (frame_input.rows[0, 3] == 0) == (networks[0] or k == 0)
-    with pytest.raises(IndexError, match="garment 1 of 1"):
-        frame_input.set_networks([True, True])
+def test_garments_are_counted():
+    for none in (0, -1):
+        with pytest.raises(ValueError, match=f"garments is {none}; there must be 1 or more"):
+            FrameInput(none)
+    with pytest.raises(ValueError, match="sway has 1 numbers; expected one for each of 2 garments"):
+        FrameInput(2).sways = (1.0,)

@@ -16,10 +16,10 @@ ROOT = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 
 def test_time_passes_between_frames():
     """A time that has passed, and, however long it is, that for the sway network."""
-    rows, times = NativeFrameInput([True]), (5.0, 5.1, 5.1, 5.2, 5.6, 5.6, 5.0, 5.25)
+    rows, times = NativeFrameInput(1), (5.0, 5.1, 5.1, 5.2, 5.6, 5.6, 5.0, 5.25)
     told = np.stack([rows.rows(time, ROOT, [1.0])[0] for time in times])
-    assert told[:, 4] == pytest.approx([UNTOLD, 0.1, 0.1, 0.1, UNTOLD, UNTOLD, UNTOLD, 0.25])
-    assert told[:, 6] == pytest.approx([UNTOLD, 0.1, 0.0, 0.1, 0.4, 0.0, 0.0, 0.25])
+    assert told[:, 3] == pytest.approx([UNTOLD, 0.1, 0.1, 0.1, UNTOLD, UNTOLD, UNTOLD, 0.25])
+    assert told[:, 5] == pytest.approx([UNTOLD, 0.1, 0.0, 0.1, 0.4, 0.0, 0.0, 0.25])
     with pytest.raises(ValueError, match="time must be finite, got nan"):
         rows.rows(math.nan, ROOT, [1.0])
 

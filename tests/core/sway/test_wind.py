@@ -14,8 +14,8 @@ STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 TURN = Rotation.from_euler("xyz", (0.4, -0.9, 2.0))
 
 
-def blown(wind=WIND, *, networks=(False, True), sways=(1.0, 1.0)):
-    frame_input = FrameInput(networks)
+def blown(wind=WIND, *, sways=(1.0, 1.0)):
+    frame_input = FrameInput(2)
     frame_input.sways, frame_input.wind = sways, wind
     return frame_input
 

@@ -1,4 +1,4 @@
-"""A root that moves, and what it feels."""
+"""How a root moves, by its messages."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ SECOND = 1_000_000_000
 LEANING = (0.0, np.sin(0.2), 0.0, np.cos(0.2))
 
 
-def rows_of(sample, sways=(1.0,)) -> np.ndarray:
-    """What garments that a pendulum moves are given (g, 14) of a sample."""
-    frame_input = FrameInput([False] * len(sways))
-    frame_input.sways = sways
+def row_of(sample) -> np.ndarray:
+    """What a garment is given (1, 13) of a sample."""
+    frame_input = FrameInput(1)
     frame_input.follow(sample)
     return frame_input.rows.copy()
 
@@ -24,14 +23,15 @@ def rows_of(sample, sways=(1.0,)) -> np.ndarray:
 def test_it_moves_cloth_as_the_same_time_and_root():
     """Bit for bit; a quaternion a little off is taken as it is meant; without stamp, or when the root is to be still,
     the direction alone."""
-    motion, told = RootMotion(), FrameInput([False])
+    motion, told = RootMotion(), FrameInput(1)
     for k in range(30):
         stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
         down, sample = motion.move(stamp, place, LEANING)
         told.move(1e-9 * stamp, np.array([*place, *LEANING]))
-        np.testing.assert_array_equal(rows_of(sample), told.rows)
+        np.testing.assert_array_equal(row_of(sample), told.rows)
         np.testing.assert_allclose(down, [np.sin(0.4), 0, -np.cos(0.4)])
-    assert np.linalg.norm(told.rows[0, :3] - down) > 0.1
+    np.testing.assert_allclose(told.rows[0, :3], down, atol=1e-6)
+    assert told.rows[0, 7] > 1, "it is fast by now"
     down, sample = motion.move(stamp, place, tuple(1.01 * number for number in LEANING))
     np.testing.assert_allclose(down, [np.sin(0.4), 0, -np.cos(0.4)])
     assert sample.known and motion.move(0, place, LEANING)[1] is None
@@ -39,24 +39,11 @@ def test_it_moves_cloth_as_the_same_time_and_root():
     assert motion.move(2 * SECOND, place, LEANING)[1] is None
 
 
-def test_each_garment_feels_as_much_as_it_sways():
-    """Leaning and twist."""
-    motion = RootMotion()
-    for k in range(40):
-        turn = (0.0, 0.0, np.sin(0.001 * k * k), np.cos(0.001 * k * k))
-        stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
-        down, sample = motion.move(stamp, place, turn)
-        felt = rows_of(sample, (1.0, 0.0, 0.4))[:, :4]
-        np.testing.assert_allclose(felt[1], [*down, 0], atol=1e-7)
-        np.testing.assert_allclose(felt[2] - felt[1], 0.4 * (felt[0] - felt[1]), atol=1e-6)
-    assert felt[0, 3] < felt[2, 3] < -0.05 and abs(felt[0, 0]) > abs(felt[2, 0]) > 0.1
-
-
 def test_stamps():
     """A doubled message says the same again; a late one is told; a clock that begins anew is followed."""
     motion = RootMotion()
     for place in ((0, 0, 0), (1, 0, 0)):
-        np.testing.assert_array_equal(*(rows_of(motion.move(10 * SECOND, place, LEANING)[1]) for _ in range(2)))
+        np.testing.assert_array_equal(*(row_of(motion.move(10 * SECOND, place, LEANING)[1]) for _ in range(2)))
     assert not motion.follows(10 * SECOND) and not motion.follows(9 * SECOND)
     with pytest.raises(OrientationError, match="stamped 0.250 s back"):
         motion.move(9 * SECOND + SECOND * 3 // 4, (0, 0, 0), LEANING)
@@ -82,5 +69,5 @@ def test_what_is_no_pose_changes_nothing(place, turn, told):
         if k == 10:
             with pytest.raises(ValueError, match=told):
                 motion.move(stamp - 1000, place, turn)
-        answers = [rows_of(each.move(stamp, (k * k / 400, 0, 0), LEANING)[1]) for each in (motion, other)]
+        answers = [row_of(each.move(stamp, (k * k / 400, 0, 0), LEANING)[1]) for each in (motion, other)]
         np.testing.assert_array_equal(*answers)

@@ -23,7 +23,7 @@ TIMES = np.cumsum([1000, *[16] * 12, 0, 16, 16, 50, 7, 400, *[16] * 6, -5000, *[
 
 @pytest.fixture(scope="module")
 def drapers():
-    """One with a sway network and one that a pendulum moves, of one rig and body."""
+    """One with a sway network and one without, of one rig and body."""
     rng = np.random.default_rng(3)
     learnt = random_model(rng, learnt_sway=True)
     other = random_model(rng, rig=learnt.rig)
@@ -40,8 +40,7 @@ def outfit(drapers):
 
 def state_of(*outfits: Outfit) -> RootState:
     """Of an avatar in these outfits, which do not know each other."""
-    layers = [layer for outfit in outfits for layer in outfit.layers]
-    return RootState(DOWN, FrameInput([layer.given.sways_by_network for layer in layers]))
+    return RootState(DOWN, FrameInput(sum(len(outfit.layers) for outfit in outfits)))
 
 
 def bound(state: RootState, outfit: Outfit, row: int = 0):
@@ -69,7 +68,7 @@ def frames(rig):
 
 @pytest.mark.parametrize("sway", [1.0, 0.4])
 def test_cloth_moves_as_that_of_a_draper_told_time_and_root(drapers, sway):
-    """Bit for bit, by the network, or by the pendulum; garments sway by themselves."""
+    """Bit for bit, with a network and without; garments sway by themselves."""
     outfits, told = [[draper.outfit.twin() for draper in drapers] for _ in range(2)]
     state, motion, alone = state_of(*outfits), RootMotion(), drapers[0].outfit.twin()
     state.frame_input.sways = sways = (sway, 1.0)
@@ -102,19 +101,21 @@ def test_without_a_root_joints_alone_swing_it(outfit):
     assert swung > 0.01
 
 
-def test_effective_gravity_alone_moves_no_network(outfit):
-    """As it comes from its topic; when it is old, joints swing the cloth again."""
-    state, told, felt = state_of(outfit), outfit.twin(), np.array([2.0, 1.0, -10.8])
+def test_effective_gravity_swings_cloth_as_that_of_a_draper(outfit):
+    """Bit for bit, as it comes from its topic and changes; when it is old, gravity alone counts again."""
+    state, told, alone, swung = state_of(outfit), outfit.twin(), outfit.twin(), 0.0
     drape = bound(state, outfit)
-    for stamp, pose, *_ in frames(outfit.rig):
+    for k, (stamp, pose, *_) in enumerate(frames(outfit.rig)):
+        felt = np.array([2.0 * np.sin(k), 1.0, -10.8])
         state.add_motion(EffectiveGravity(felt), stamp, now_ns=0)
         assert state.take(stamp, 0)
         state.begin_frame(*divmod(stamp, 10**9))
-        assert state.frame_input.rows[0, 5] == 0
-        np.testing.assert_array_equal(*drape(pose), *told.drape(pose, effective_gravity=felt, time=1e-9 * stamp))
+        (cloud,) = drape(pose)
+        np.testing.assert_array_equal(cloud, *told.drape(pose, effective_gravity=felt, time=1e-9 * stamp))
+        swung = max(swung, np.abs(cloud - alone.drape(pose, effective_gravity=felt)[0])[:, :3].max())
+    assert swung > 0.01
     assert not state.take(stamp, FRESH + 1)
-    state.begin_frame(*divmod(stamp, 10**9))
-    assert state.frame_input.rows[0, 5] == 1
+    np.testing.assert_array_equal(state.frame_input.rows[0, :3], DOWN)
 
 
 def test_an_acceleration_is_felt_as_much_as_garments_sway(outfit):
@@ -146,7 +147,7 @@ def test_without_sway_every_frame_is_draped_by_itself(outfit):
 
 
 def test_sway_may_change_while_running(drapers):
-    """As that of a draper, by the network and by the pendulum."""
+    """As that of a draper, with a network and without."""
     for draper in drapers:
         told, worn, motion = draper.outfit.twin(), draper.outfit.twin(), RootMotion()
         state = state_of(worn)
@@ -180,7 +181,7 @@ def test_directions_go_with_joint_states_by_their_stamps(outfit):
 
 
 def test_an_outfit_swings_as_one_told_time_and_root():
-    """Bit for bit, one garment by its network, one by the pendulum."""
+    """Bit for bit, one garment by its network, one without any."""
     rng, amounts = np.random.default_rng(4), (0.6, 1.0)
     inner = random_model(rng, garment=tube(radius=0.1), learnt_sway=True)
     outer = random_model(rng, rig=inner.rig, garment=tube(radius=0.4))
@@ -198,18 +199,33 @@ def test_an_outfit_swings_as_one_told_time_and_root():
 
 
 def test_effective_gravity_that_is_reported(drapers):
-    """As the garment feels it, before any joint state comes; of those that a sway network moves by the root's motion
-    there is none."""
+    """As the garment feels it, wind included, before any joint state comes; there is none while messages say where the
+    root is."""
     state, motion = state_of(*(draper.outfit for draper in drapers)), RootMotion()
-    state.frame_input.sways = (0.5, 0.5)
-    felt = lambda garment, now_ns=0: state.effective_gravity(garment, now_ns, has_network=garment == 0)  # noqa: E731
-    assert felt(1) is None
+    state.frame_input.sways = (0.5, 1.0)
+    assert state.effective_gravity(1, 0) is None
     for k in range(20):
         state.add_motion(motion.move(k + 1, (0, 0, 0), (0, 0, 0, 1))[1], k + 1, now_ns=0)
-    np.testing.assert_allclose(felt(1), [0, 0, -9.81])
-    assert felt(0) is None
-    for at_rest, size in ((None, -4.905), (np.array([0, 0, -9.81]), -0.75 * 9.81)):
+    assert state.effective_gravity(1, 0) is None
+    for at_rest, sizes in ((None, (-4.905, -4.905)), (np.array([0, 0, -9.81]), (-0.75 * 9.81, -4.905))):
         state.add_motion(EffectiveGravity(np.array([0, 0, -4.905]), at_rest), 30, now_ns=0)
-        for garment in range(2):
-            np.testing.assert_allclose(felt(garment), [0, 0, size], rtol=1e-6)
-    assert felt(1, FRESH + 1) is None
+        for garment, size in enumerate(sizes):
+            np.testing.assert_allclose(state.effective_gravity(garment, 0), [0, 0, size], rtol=1e-6)
+    state.frame_input.wind = (3.0, 0.0, 0.0)
+    np.testing.assert_allclose(state.effective_gravity(1, 0), [6, 0, -4.905], rtol=1e-6)
+    assert state.effective_gravity(1, FRESH + 1) is None
+
+
+def test_wind_blows_on_whatever_is_known_of_the_root(outfit):
+    """As on a draper; in the world that poses are given in."""
+    state, told, motion, alone = state_of(outfit), outfit.twin(), RootMotion(), outfit.twin()
+    drape, moved = bound(state, outfit), 0.0
+    for k, (stamp, pose, place, turn) in enumerate(frames(outfit.rig)):
+        state.frame_input.wind = told.wind = (-5.0, 2.0 * np.sin(k), 0.0)
+        state.add_motion(motion.move(stamp, place, turn)[1], stamp, now_ns=0)
+        state.take(stamp, 0)
+        state.begin_frame(*divmod(stamp, 10**9))
+        (cloud,), still = drape(pose), alone.drape(pose, time=1e-9 * stamp, root=(*place, *turn))
+        np.testing.assert_array_equal(cloud, *told.drape(pose, time=1e-9 * stamp, root=(*place, *turn)))
+        moved = max(moved, np.abs(cloud - still[0])[:, :3].max())
+    assert moved > 0.005

@@ -239,7 +239,7 @@ def _added_to_step(draper: Draper, motion: Motion) -> float:
     q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
     still, moving = [], []
     for rows, given in ((still, [{"gravity": each} for each in down]), (moving, [{"root": each} for each in roots])):
-        frame_input = FrameInput([draper.bound.sways_by_network])
+        frame_input = FrameInput(1)
         for k, each in enumerate(given):
             frame_input.fill(**each, time=k / motion.rate_hz if rows is moving else None)
             rows.append(frame_input.rows.copy())

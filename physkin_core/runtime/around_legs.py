@@ -1,9 +1,6 @@
-"""Which garment nodes twist about the root's vertical when the root turns, and how far they go along.
+"""Whether cloth goes round both legs in one below the hips, as a skirt does; the legs of trousers follow the body's.
 
-Cloth that goes round both legs in one, as of a skirt, is held at the hips and free below: a torsion pendulum. The legs
-of trousers follow the body's.
-
-Dimensions: `m` garment nodes, `f` faces. Metres, canonical pose.
+Dimensions: `m` garment nodes. Metres, canonical pose.
 """
 
 from __future__ import annotations
@@ -13,10 +10,8 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 
-__all__ = ["node_twist", "thighs"]
+__all__ = ["goes_round_both_legs", "thighs"]
 
-FREE_BELOW = 0.33
-"""[m] Cloth so far below the hips twists as the pendulum does; above, the less the nearer to the hips."""
 LOOKED_AT = 0.75
 """Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
 
@@ -26,23 +21,20 @@ def thighs(rig: Rig) -> list[int]:
     return [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
 
 
-def node_twist(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.ndarray) -> np.ndarray:
-    """Share (m,) float32, 0 to 1, of the pendulum's twist that each garment node takes; (0,) where none does.
+def goes_round_both_legs(garment: Garment, rig: Rig, node_rest: np.ndarray, node_bone: np.ndarray) -> bool:
+    """From the garment's mesh and the bones that it follows, not from its name: False, too, where the rig has no legs.
 
-    node_rest: (m, 3) on the garment, node_bone: (m,) the bone of `rig` that each follows.
+    node_rest: (m, 3) on the garment, node_bone: (m,) the bone of `rig` that each garment node follows.
     """
-    none = np.empty(0, dtype=np.float32)
     hips = thighs(rig)
     if not hips:
-        return none
+        return False
     middle, hip = rig.heads[hips].mean(axis=0), rig.heads[hips, 2].min()
     lowest = garment.vertices[:, 2].min()
     level = hip + LOOKED_AT * (lowest - hip)
     if lowest >= hip or abs(_winding(garment, level, middle[:2])) < 0.5:
-        return none
-    shares = np.clip((hip - node_rest[:, 2]) / FREE_BELOW, 0, 1)
-    shares[~_of_legs(rig, hips)[node_bone]] = 0  # a sleeve may hang as low
-    return shares.astype(np.float32) if shares.any() else none
+        return False
+    return bool((_of_legs(rig, hips)[node_bone] & (node_rest[:, 2] < hip)).any())  # a sleeve may hang as low
 
 
 def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:
