@@ -32,10 +32,10 @@ std::vector<SkinningBlocks> one_by_one(const SkinningBlocks& all) {
     SkinningBlocks& one = blocks.emplace_back(all);
     one.vertex_count = std::min(all.vertex_count - block * kBlock, kBlock);
     one.block_count = 1;
-    one.influence_start += block;
+    one.influences += 2 * std::ptrdiff_t(block);
     one.rest += std::ptrdiff_t(block) * 6 * kBlock;
     one.vertex += std::ptrdiff_t(block) * kBlock;
-    if (one.detail_start != nullptr) one.detail_start += block;
+    if (one.details != nullptr) one.details += 2 * std::ptrdiff_t(block);
   }
   return blocks;
 }

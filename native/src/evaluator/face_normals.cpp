@@ -68,7 +68,8 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
   const std::vector<Ring> rings = rings_of(g);
   // By their length, so that the processor foresees where loops end; then neighbours together, for its caches.
   const std::vector<std::uint32_t> curve = curve_positions(g.vertices, g.vertex_count);
-  std::vector<std::int32_t> order(g.vertex_count), place_of(g.vertex_count), start{0}, neighbours;
+  std::vector<std::int32_t> order(g.vertex_count), place_of(g.vertex_count), start{0};
+  std::vector<std::uint32_t> neighbours;
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](int a, int b) {
     return std::make_pair(steps(rings[a]), curve[a]) < std::make_pair(steps(rings[b]), curve[b]);
@@ -80,7 +81,7 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
     for (std::size_t step = 0; step < steps(rings[order[first + kRingGroup - 1]]); ++step) {
       for (int k = 0; k < kRingGroup; ++k) {
         const Ring& ring = rings[order[first + k]];
-        neighbours.push_back(4 * place_of[ring[std::min(step, ring.size() - 1)]]);
+        neighbours.push_back(std::uint32_t(place_of[ring[std::min(step, ring.size() - 1)]]) * (4 * sizeof(float)));
       }
     }
     start.push_back(std::int32_t(neighbours.size() / kRingGroup));

@@ -41,8 +41,13 @@ std::vector<NodeSet> influence_sets(const SkinningData& g) {
 
 struct Block {
   std::vector<std::int32_t> vertices;
-  NodeSet nodes;  // union of the vertices' garment nodes
-  int detail_nodes = 0;
+  NodeSet nodes;                  // of the vertices, all together
+  std::array<int, 4> loops = {};  // garment nodes and detail nodes of all, and both of the first half
+};
+
+// Whether a node is one of the first half of a block's vertices, and of the second.
+struct Halves {
+  bool in[2] = {};
 };
 
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
@@ -78,11 +83,7 @@ class BlockChooser {
     while (block.vertices.size() < std::size_t(kBlock) && waiting_ > 0) take(block, least_added());
     while (first_ < end_ && sizes_[first_] == kTaken) ++first_;
     for (const std::int32_t node : block.nodes) in_block_[node] = false;
-    std::sort(block.nodes.begin(), block.nodes.end());
-    const auto detail = std::lower_bound(block.nodes.begin(), block.nodes.end(), nodes_);
-    block.detail_nodes = int(block.nodes.end() - detail);
-    block.nodes.erase(detail, block.nodes.end());
-    if (block.nodes.empty()) block.nodes.push_back(0);  // vertices without any weight: the kernel reads one node
+    put_together_first_half(block);
     return block;
   }
 
@@ -98,6 +99,29 @@ class BlockChooser {
     int least = kTaken;
     for (auto added = first; added != end; ++added) least = std::min(least, *added);  // in vector registers
     return first_ + std::size_t(std::find(first, end, least) - first);
+  }
+
+  // Puts those vertices first that go with the first one at the least work.
+  void put_together_first_half(Block& block) {
+    const auto end = block.vertices.end();
+    for (auto next = block.vertices.begin(); next != end && next - block.vertices.begin() < kHalf; ++next) {
+      const auto added = [&](std::int32_t vertex) {
+        return std::accumulate(sets_[vertex].begin(), sets_[vertex].end(), 0,
+                               [&](int sum, std::int32_t node) { return in_block_[node] ? sum : sum + cost(node); });
+      };
+      if (next != block.vertices.begin()) {
+        std::vector<int> work(std::size_t(end - next));
+        std::transform(next, end, work.begin(), added);
+        std::iter_swap(next, next + (std::min_element(work.begin(), work.end()) - work.begin()));
+      }
+      for (const std::int32_t node : sets_[*next]) in_block_[node] = true;
+    }
+    for (const std::int32_t node : block.nodes) {
+      const int kind = node >= nodes_;
+      ++block.loops[kind];
+      block.loops[2 + kind] += in_block_[node];
+      in_block_[node] = false;
+    }
   }
 
   void take(Block& block, std::size_t place) {
@@ -134,40 +158,72 @@ std::vector<Block> choose_blocks(const SkinningData& g) {
   if (blocks.empty()) return blocks;
   // Blocks of equal size follow each other, so that the processor foresees where loops over nodes end. The last one,
   // which may be short of vertices, stays last.
-  std::stable_sort(blocks.begin(), blocks.end() - 1, [](const Block& a, const Block& b) {
-    return std::make_pair(a.nodes.size(), a.detail_nodes) < std::make_pair(b.nodes.size(), b.detail_nodes);
-  });
+  std::stable_sort(blocks.begin(), blocks.end() - 1, [](const Block& a, const Block& b) { return a.loops < b.loops; });
   return blocks;
 }
 
-// Detail nodes of each block, and the weights of its vertices. order: vertices, block by block.
-void pack_detail(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
-  std::vector<std::int32_t> offsets, start{0};
+// What vertices have of one kind of node, row by row.
+struct Influences {
+  int count;  // a vertex
+  const std::int32_t* nodes;
+  const float* weights;
+};
+
+// Nodes of all blocks, in the order that kernels read them, and the weights of a block's vertices.
+struct PackedNodes {
+  std::vector<NodeRange> halves;
+  std::vector<std::int32_t> nodes;
   std::vector<float> weights;
-  for (int block = 0; block < blocks.block_count; ++block) {
+};
+
+// order: vertices, block by block. at_least_one: a half has a node even if none has a weight there.
+PackedNodes pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, bool at_least_one) {
+  PackedNodes packed;
+  for (std::size_t first = 0; first < order.size(); first += kBlock) {
+    const std::size_t count = std::min<std::size_t>(kBlock, order.size() - first);
     std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
-    const int first = block * kBlock, count = std::min(kBlock, g.vertex_count - first);
-    for (int lane = 0; lane < count; ++lane) {
-      const std::size_t at = std::size_t(order[std::size_t(first + lane)]) * std::size_t(g.detail_influences);
-      for (int k = 0; k < g.detail_influences; ++k) {
-        if (g.detail_weights[at + k] != 0.0f) of_nodes[g.detail_nodes[at + k]][lane] += g.detail_weights[at + k];
+    std::map<std::int32_t, Halves> halves;
+    for (std::size_t lane = 0; lane < count; ++lane) {
+      const std::size_t at = std::size_t(order[first + lane]) * std::size_t(of.count);
+      for (int k = 0; k < of.count; ++k) {
+        const float weight = of.weights[at + k];
+        if (weight == 0.0f) continue;
+        of_nodes[of.nodes[at + k]][lane] += weight;  // a node may be listed twice
+        halves[of.nodes[at + k]].in[lane / kHalf] = true;
       }
     }
-    for (const auto& [node, of_lanes] : of_nodes) {
-      offsets.push_back(3 * node);
-      weights.insert(weights.end(), of_lanes.begin(), of_lanes.end());
+    if (at_least_one && of_nodes.empty()) of_nodes[0] = {};
+    const auto start = std::int32_t(packed.nodes.size());
+    std::int32_t begin[2] = {start, start}, end[2] = {start, start};
+    for (const Halves wanted : {Halves{{true, false}}, Halves{{true, true}}, Halves{{false, true}}, Halves{}}) {
+      for (const auto& [node, weights] : of_nodes) {
+        const Halves found = halves[node];
+        if (found.in[0] != wanted.in[0] || found.in[1] != wanted.in[1]) continue;
+        packed.nodes.push_back(node);
+        packed.weights.insert(packed.weights.end(), weights.begin(), weights.end());
+      }
+      const auto now = std::int32_t(packed.nodes.size());
+      if (wanted.in[0]) end[0] = now;
+      if (!wanted.in[1] && wanted.in[0]) begin[1] = now;
+      if (wanted.in[1]) end[1] = now;
     }
-    start.push_back(std::int32_t(offsets.size()));
+    for (int half = 0; half < 2; ++half) {
+      if (end[half] <= begin[half]) {
+        begin[half] = at_least_one ? std::int32_t(packed.nodes.size()) - 1 : begin[half];
+        end[half] = begin[half] + at_least_one;
+      }
+      packed.halves.push_back({begin[half], end[half]});
+    }
   }
-  blocks.detail_start = arena.copy(start.data(), start.size());
-  blocks.detail_offset = arena.copy(offsets.data(), offsets.size());
-  const float largest = std::accumulate(weights.begin(), weights.end(), FLT_MIN,
-                                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
-  blocks.detail_unit = largest / float(INT16_MAX);
+  return packed;
+}
+
+// In 16 bits.
+const std::int16_t* rounded(const std::vector<float>& weights, float unit, Arena& arena) {
   auto* integers = arena.take<std::int16_t>(weights.size());
   std::transform(weights.begin(), weights.end(), integers,
-                 [&](float weight) { return std::int16_t(std::lround(weight / blocks.detail_unit)); });
-  blocks.detail_weight = integers;
+                 [&](float weight) { return std::int16_t(std::lround(weight / unit)); });
+  return integers;
 }
 
 }  // namespace
@@ -178,41 +234,36 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
   blocks.vertex_count = g.vertex_count;
   blocks.block_count = int(chosen.size());
 
-  std::vector<std::int32_t> order, nodes, start{0};
-  for (const Block& block : chosen) {
-    order.insert(order.end(), block.vertices.begin(), block.vertices.end());
-    nodes.insert(nodes.end(), block.nodes.begin(), block.nodes.end());
-    start.push_back(std::int32_t(nodes.size()));
-  }
-
-  auto* weights = arena.take<float>(nodes.size() * kBlock);
+  std::vector<std::int32_t> order;
+  for (const Block& block : chosen) order.insert(order.end(), block.vertices.begin(), block.vertices.end());
   auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
   auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
-  std::vector<std::int32_t> row(std::size_t(g.nodes));  // of each garment node of a block
   for (int i = 0; i < g.vertex_count; ++i) {
     const int block = i / kBlock, lane = i % kBlock;
-    if (lane == 0) {
-      for (std::int32_t at = start[block]; at < start[block + 1]; ++at) row[nodes[at]] = at;
-    }
     const std::size_t v = order[i];
     vertex[i] = order[i];
     for (int c = 0; c < 3; ++c) {
       rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
       rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals[3 * v + c];
     }
-    for (std::size_t at = v * g.influences; at < (v + 1) * g.influences; ++at) {
-      const float weight = g.influence_weights[at];
-      if (weight == 0.0f) continue;
-      weights[std::size_t(row[g.influence_nodes[at]]) * kBlock + lane] += weight;  // a node may be listed twice
-    }
   }
-  blocks.influence_start = arena.copy(start.data(), start.size());
-  for (std::int32_t& node : nodes) node *= 12;
-  blocks.influence_matrix = arena.copy(nodes.data(), nodes.size());
-  blocks.influence_weight = weights;
   blocks.rest = rest;
   blocks.vertex = vertex;
-  if (g.has_detail()) pack_detail(g, order, blocks, arena);
+
+  PackedNodes nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, true);
+  for (std::int32_t& node : nodes.nodes) node *= 12;
+  blocks.influences = arena.copy(nodes.halves.data(), nodes.halves.size());
+  blocks.influence_matrix = arena.copy(nodes.nodes.data(), nodes.nodes.size());
+  blocks.influence_weight = arena.copy(nodes.weights.data(), nodes.weights.size());
+  if (!g.has_detail()) return blocks;
+  PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order, false);
+  for (std::int32_t& node : details.nodes) node *= 3;
+  const float largest = std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
+                                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
+  blocks.details = arena.copy(details.halves.data(), details.halves.size());
+  blocks.detail_offset = arena.copy(details.nodes.data(), details.nodes.size());
+  blocks.detail_unit = largest / float(INT16_MAX);
+  blocks.detail_weight = rounded(details.weights, blocks.detail_unit, arena);
   return blocks;
 }
 

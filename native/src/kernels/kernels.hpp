@@ -10,18 +10,24 @@
 namespace physkin {
 
 // Vertices in blocks of kBlock that share most of their garment nodes. Skinning weights are dense over the block's
-// union of garment nodes, so that every lane does the same work on the same broadcast matrix.
-constexpr int kBlock = 16;
+// union of garment nodes, so that every lane does the same work on the same broadcast matrix. First come those of the
+// first half of its vertices alone, then those of both, then those of the second half alone: narrower registers leave out
+// what is not theirs.
+constexpr int kBlock = 16, kHalf = kBlock / 2;
+
+struct NodeRange {
+  std::int32_t begin, end;
+};
 
 struct SkinningBlocks {
   int vertex_count = 0, block_count = 0;
-  const std::int32_t* influence_start = nullptr;   // (block_count + 1,) into the next two, at least one a block
+  const NodeRange* influences = nullptr;           // (block_count, 2) of each half into the next two, at least one
   const std::int32_t* influence_matrix = nullptr;  // (influences,) where a garment node's matrix starts
   const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
   const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
   const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
   // The same of detail nodes, or none: those of a block, where their offsets start, and weights of its vertices.
-  const std::int32_t* detail_start = nullptr;   // (block_count + 1,)
+  const NodeRange* details = nullptr;           // (block_count, 2)
   const std::int32_t* detail_offset = nullptr;  // (detail influences,)
   const std::int16_t* detail_weight = nullptr;  // (detail influences, kBlock) in detail_unit: half as much to read
   float detail_unit = 0;
@@ -46,9 +52,9 @@ struct FaceRings {
   // (group_count, kRingGroup) in the caller's order. Where vertices do not fill the groups, the first one is there more
   // than once: only its last place holds its position, and is written after the others.
   const std::int32_t* vertex = nullptr;
-  const std::int32_t* start = nullptr;      // (group_count + 1,) into the next
-  const std::int32_t* neighbour = nullptr;  // (steps, kRingGroup) where its place begins
-  float* places = nullptr;                  // (group_count, kRingGroup, 4) positions in order of `vertex`
+  const std::int32_t* start = nullptr;       // (group_count + 1,) into the next
+  const std::uint32_t* neighbour = nullptr;  // (steps, kRingGroup) where its place begins [bytes]
+  float* places = nullptr;                   // (group_count, kRingGroup, 4) positions in order of `vertex`
 };
 
 // The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.

@@ -19,11 +19,13 @@ static_assert(kRingGroup % kLanes == 0);
 constexpr float kUpwards = 1e-18f;
 
 // Of kFours vertices.
-inline Floats places_at(const float* places, const std::int32_t* at) {
+inline Floats places_at(const float* places, const std::uint32_t* at) {
+  const auto one = [places](std::uint32_t bytes) {
+    return reinterpret_cast<const float*>(reinterpret_cast<const char*>(places) + bytes);
+  };
 #if defined(__AVX2__)
-  const auto two = [places](const std::int32_t* from) {
-    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(places + from[0])), _mm_load_ps(places + from[1]),
-                                1);
+  const auto two = [one](const std::uint32_t* from) {
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(one(from[0]))), _mm_load_ps(one(from[1])), 1);
   };
 #endif
 #if defined(__AVX512F__)
@@ -32,7 +34,7 @@ inline Floats places_at(const float* places, const std::int32_t* at) {
 #elif defined(__AVX2__)
   return (Floats)two(at);
 #else
-  return load(places + at[0]);
+  return load(one(at[0]));
 #endif
 }
 
@@ -42,19 +44,19 @@ inline Floats turned(Floats v) { return turned_fours<1, 2, 0, 3>(v); }
 // Twice the areas within the rings of kFours vertices, not turned yet. They are the sum of cross products of neighbours
 // that follow each other, or of every other one with the step between the two beside it; and from any point, such as the
 // first neighbour, whose product then vanishes.
-inline Floats ring_areas(const float* places, const std::int32_t* ring, int length) {
+inline Floats ring_areas(const float* places, const std::uint32_t* ring, int length) {
   const Floats corner = places_at(places, ring);
   Floats before = places_at(places, ring + kRingGroup);
-  Floats plus = shuffle_fours<kLanes, 0, 0, 0>(Floats{}, Floats{} + kUpwards), minus = {};
+  Floats area = shuffle_fours<kLanes, 0, 0, 0>(Floats{}, Floats{} + kUpwards);
 #pragma GCC unroll 4
   for (int k = 2; k < length; k += 2) {
     const Floats between = places_at(places, ring + k * kRingGroup) - corner;
     const Floats after = places_at(places, ring + (k + 1) * kRingGroup), across = after - before;
-    plus += between * turned(across);
-    minus += turned(between) * across;
+    area += between * turned(across);
+    area -= turned(between) * across;
     before = after;
   }
-  return plus - minus;
+  return area;
 }
 
 template <int kFour>
@@ -96,7 +98,7 @@ inline void write_normals(const Floats* areas, const float* place, const std::in
 template <int kLength>
 inline void write_group(const FaceRings& rings, int group, int length, const VertexRows& rows,
                         std::ptrdiff_t row_bytes) {
-  const std::int32_t* ring = rings.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
+  const std::uint32_t* ring = rings.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
   const std::ptrdiff_t first = std::ptrdiff_t(group) * kRingGroup;
   for (int lane = 0; lane < kRingGroup; lane += kLanes) {
     Floats areas[4];

@@ -46,12 +46,18 @@ inline void add_weighted(BlendedLanes* blend, const float* weights, const float*
 #endif
 }
 
+// Of the halves of a block that kLanesTogether of its vertices from `lane` on are in.
+inline NodeRange nodes_of(const NodeRange* halves, int block, int lane) {
+  const NodeRange* of_block = halves + 2 * std::ptrdiff_t(block);
+  return {of_block[lane / kHalf].begin, of_block[(lane + kLanesTogether - 1) / kHalf].end};
+}
+
 // Of a block's garment nodes, for kLanesTogether of its vertices from `lane` on.
 inline BlendedLanes blend_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
-  const std::int32_t start = blocks.influence_start[block];
-  const std::int32_t* at = blocks.influence_matrix + start;
-  const int node_count = blocks.influence_start[block + 1] - start;
-  const float* weights = blocks.influence_weight + std::ptrdiff_t(start) * kBlock + lane;
+  const NodeRange nodes = nodes_of(blocks.influences, block, lane);
+  const std::int32_t* at = blocks.influence_matrix + nodes.begin;
+  const int node_count = nodes.end - nodes.begin;
+  const float* weights = blocks.influence_weight + std::ptrdiff_t(nodes.begin) * kBlock + lane;
   BlendedLanes blend;
 #pragma GCC unroll 4
   for (int v = 0; v < kTogether; ++v) {
@@ -70,7 +76,8 @@ template <bool kDetail>
 inline RestLanes rest_lanes(const SkinningBlocks& blocks, const float* offsets, int block, int lane) {
   RestLanes sum = {};
   if (kDetail) {
-    for (std::int32_t k = blocks.detail_start[block]; k < blocks.detail_start[block + 1]; ++k) {
+    const NodeRange nodes = nodes_of(blocks.details, block, lane);
+    for (std::int32_t k = nodes.begin; k < nodes.end; ++k) {
       const float* offset = offsets + blocks.detail_offset[k];
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v) {
