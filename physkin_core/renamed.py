@@ -32,7 +32,16 @@ PARAMETERS = {
 ATTRIBUTES = {
     "physkin_core": {"made_of": "with_fabric"},
     "BoneRotations": {"unknown": "unknown_bones"},
+    "FrameInput": {
+        "accelerate": "set_effective_gravity",
+        "follow": "set_root_sample",
+        "hang": "set_gravity",
+        "move": "set_root",
+        "sways": "sway",
+    },
     "Garment": {"of_faces": "submesh"},
+    "Layer": {"face_given": "face_visible", "given": "bound_visible", "given_garment": "visible_garment"},
+    "Outfit": {"giving": "with_bound_garment"},
 }
 """Of a module or class."""
 

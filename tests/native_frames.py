@@ -46,7 +46,7 @@ class NativeFrameInput:
         self.frame_input = FrameInput(garments)
 
     def rows(self, time: float, root: np.ndarray, amounts: Sequence[float], wind=(0.0, 0.0, 0.0)) -> np.ndarray:
-        self.frame_input.sways, self.frame_input.wind = amounts, wind
+        self.frame_input.sway, self.frame_input.wind = amounts, wind
         self.frame_input.fill(time=time, root=root)
         return self.frame_input.rows.copy()
 

@@ -85,7 +85,7 @@ def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
 def _for_engines(layer: Layer) -> BoundGarment:
     """What is given of a garment, with the influences that engines take."""
     nodes, weights = layer.model.engine_nodes[layer.visible], layer.model.engine_weights[layer.visible]
-    return replace(layer.given, influence_nodes=nodes, influence_weights=weights)
+    return replace(layer.bound_visible, influence_nodes=nodes, influence_weights=weights)
 
 
 def _unskinned_normals(matrices: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -107,7 +107,7 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
     JPEG.
     """
     looks = [
-        cloth_look(layer.model.garment, layer.model.fabric, layer.face_given, colour)
+        cloth_look(layer.model.garment, layer.model.fabric, layer.face_visible, colour)
         for layer, colour in zip(outfit.layers, cloth_colours(outfit.garments))
     ]
     seen: set[int] = set()

@@ -120,7 +120,7 @@ def _giving_visible(layer: Layer) -> Layer:
     shown = layer.bound.faces[~faces_of(layer.bound.faces, layer.hidden)]
     visible = np.unique(shown).astype(np.int32)
     faces = np.searchsorted(visible, shown).astype(np.int32)
-    return replace(layer, given=layer.bound.of_vertices(visible, faces), visible=visible)
+    return replace(layer, bound_visible=layer.bound.of_vertices(visible, faces), visible=visible)
 
 
 def _orders(

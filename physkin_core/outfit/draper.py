@@ -77,7 +77,7 @@ class Draper:
         if points is not None:
             bound = self.layer.bound
             placed = bind_points(model, points, normals=point_normals, rest=bound.vertices)
-            self.outfit = self.outfit.giving(0, replace(bound, **placed))
+            self.outfit = self.outfit.with_bound_garment(0, replace(bound, **placed))
 
     @property
     def layer(self) -> Layer:
@@ -97,7 +97,7 @@ class Draper:
     @property
     def bound(self) -> BoundGarment:
         """The garment bound to the body: all that a frame needs."""
-        return self.layer.given
+        return self.layer.bound_visible
 
     @property
     def at_rest(self) -> RestLook:
@@ -200,7 +200,7 @@ class Draper:
     @property
     def sway(self) -> float:
         """How much the cloth swings when `drape` is given time and root: see `Outfit.sway`."""
-        return self.outfit.frame_input.sways[0]
+        return self.outfit.frame_input.sway[0]
 
     @sway.setter
     def sway(self, amount: float) -> None:

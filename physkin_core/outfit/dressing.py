@@ -78,7 +78,7 @@ def _worn(garment: WornGarment, avatar: Avatar, fit: float, beneath: Sequence[La
         tucked_depth=np.zeros(count),
         hidden=np.zeros(count, dtype=bool),
         visible=np.arange(count, dtype=np.int32),
-        given=bound,
+        bound_visible=bound,
     )
 
 

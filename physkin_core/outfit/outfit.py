@@ -21,6 +21,7 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
+from physkin_core.renamed import refuse_old_names
 from physkin_core.rig.rig import Rig
 from physkin_core.rig.vrm_bones import vrm_bone_table
 from physkin_core.runtime.bound_file import save_bound_outfit
@@ -37,6 +38,7 @@ log = logging.getLogger(__name__)
 FULL_TURN = 2 * np.pi
 
 
+@refuse_old_names
 class Outfit:
     """Drapes one to four garments on one body, a pose at a time.
 
@@ -118,7 +120,7 @@ class Outfit:
     def _begin(self, layers: Sequence[Layer]) -> None:
         """Make what a frame writes to."""
         self.layers = tuple(layers)
-        self._evaluator = Evaluator([layer.given for layer in layers], self.orders, **self._made)
+        self._evaluator = Evaluator([layer.bound_visible for layer in layers], self.orders, **self._made)
         self.frame_input = FrameInput(len(layers))
         self._warned_of_degrees = False
 
@@ -134,10 +136,10 @@ class Outfit:
         """
         twin, here = copy(self), self.frame_input
         twin._begin(self.layers)
-        twin.frame_input.sways, twin.frame_input.wind = here.sways, here.wind
+        twin.frame_input.sway, twin.frame_input.wind = here.sway, here.wind
         return twin
 
-    def giving(self, garment: int, bound: BoundGarment) -> Outfit:
+    def with_bound_garment(self, garment: int, bound: BoundGarment) -> Outfit:
         """A twin whose clouds have other vertices of one garment.
 
         Args:
@@ -145,7 +147,7 @@ class Outfit:
             bound: the other vertices, bound to the same garment nodes.
         """
         twin, layers = copy(self), list(self.layers)
-        layers[garment] = replace(layers[garment], given=bound, visible=np.empty(0, dtype=np.int32))
+        layers[garment] = replace(layers[garment], bound_visible=bound, visible=np.empty(0, dtype=np.int32))
         twin._begin(layers)
         return twin
 
@@ -154,7 +156,7 @@ class Outfit:
         holds all fabrics that each garment has learnt."""
         others = [other_fabrics(layer, self.avatar, self.layers[:k]) for k, layer in enumerate(self.layers)]
         save_bound_outfit(
-            [replace(layer.given, **fields) for layer, (_, fields) in zip(self.layers, others)],
+            [replace(layer.bound_visible, **fields) for layer, (_, fields) in zip(self.layers, others)],
             path,
             fabrics=[[fabric_of(layer.model), *names] for layer, (names, _) in zip(self.layers, others)],
             names=[layer.name for layer in self.layers],
@@ -209,8 +211,8 @@ class Outfit:
                 fall, at most three times gravity. Used instead of `gravity`.
             time: [s] of this frame. Frames must then come in their order, and cloth that would leap between two of them
                 moves over at a limited speed.
-            root: (7,), with `time`: where the root is in the world, as for `FrameInput.move`. It also says where down
-                is, and makes cloth lag, swing and settle as much as `sway` says.
+            root: (7,), with `time`: where the root is in the world, as for `FrameInput.set_root`. It also says where
+                down is, and makes cloth lag, swing and settle as much as `sway` says.
             outs: one writable float32 array for each garment, all (v, 6) or all (v, 3), with any row stride. None: new
                 (v, 6).
 
@@ -290,14 +292,14 @@ class Outfit:
         Raises:
             ValueError: when set to other numbers, or to another number of them.
         """
-        sways = self.frame_input.sways
+        sways = self.frame_input.sway
         return sways if len(set(sways)) > 1 else sways[0]
 
     @sway.setter
     def sway(self, amount: float | Sequence[float]) -> None:
         many = isinstance(amount, Sequence) or np.ndim(amount) > 0
         given: Any = amount
-        self.frame_input.sways = tuple(given) if many else (given,) * len(self.layers)
+        self.frame_input.sway = tuple(given) if many else (given,) * len(self.layers)
 
     @property
     def wind(self) -> tuple[float, float, float]:
@@ -318,8 +320,8 @@ class Outfit:
 
     def node_transforms(self) -> tuple[np.ndarray, ...]:
         """Garment node transforms (m, 3, 4) of each garment in the last frame, from the canonical frame of the garment
-        node to the root frame. Skinned by `Layer.given` they give the vertices before layers and tucked hems are put in
-        order.
+        node to the root frame. Skinned by `Layer.bound_visible` they give the vertices before layers and tucked hems
+        are put in order.
         """
         return tuple(self._evaluator.node_transforms(k) for k in range(len(self.layers)))
 

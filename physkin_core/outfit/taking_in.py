@@ -44,7 +44,7 @@ def taken_in(under: Layer, over: Layer, poses: Sequence[tuple[np.ndarray, np.nda
     inwards = ((1 - buried) * seen_push + buried * buried_push)[:, None] * bound.normals
     vertices = (bound.vertices - _smooth(inwards, bound.faces)).astype(np.float32)
     bound = replace(bound, vertices=vertices, normals=rest_normals(under.model, vertices))
-    narrower = replace(under, bound=bound, given=bound)
+    narrower = replace(under, bound=bound, bound_visible=bound)
     (rest,) = narrower.drape([(under.model.rig.rest, UPRIGHT_GRAVITY)])
     narrower = replace(narrower, rest=rest)
     tuck_in(narrower, over, [(rest, over.rest)])

@@ -102,7 +102,7 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     worn: list[Mesh] = []
     for cloud, layer, colour in zip(cloth, outfit.layers, cloth_colours(outfit.garments)):
         points, garment = np.asarray(cloud)[:, :3], layer.model
-        look = cloth_look(garment.garment, garment.fabric, layer.face_given, colour)
+        look = cloth_look(garment.garment, garment.fabric, layer.face_visible, colour)
         if look is None:
             worn.append(Mesh(points, layer.faces, seen_from_afar(garment.fabric, colour)))
         else:

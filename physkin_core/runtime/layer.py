@@ -14,6 +14,7 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.model.surface_paths import openings, path_lengths
+from physkin_core.renamed import refuse_old_names
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_core.runtime.rest_look import RestLook
@@ -39,6 +40,7 @@ class WornGarment:
     fit: float | None = None
 
 
+@refuse_old_names
 @dataclass(frozen=True)
 class Layer:
     """A garment as an outfit wears it on its body.
@@ -54,7 +56,7 @@ class Layer:
         tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
         hidden: (n,) bool, vertices that are covered in all everyday poses.
         visible: (v,) int32, the vertices that clouds have.
-        given: these vertices, bound.
+        bound_visible: these vertices, bound.
         moved: whether vertices are moved after skinning, to keep layers in order or a hem tucked in.
 
     Examples:
@@ -73,7 +75,7 @@ class Layer:
     tucked_depth: np.ndarray
     hidden: np.ndarray
     visible: np.ndarray
-    given: BoundGarment
+    bound_visible: BoundGarment
     moved: bool = False
 
     @property
@@ -84,10 +86,10 @@ class Layer:
     @property
     def faces(self) -> np.ndarray:
         """(f, 3) int32 triangles between the vertices that clouds have; (0, 3) for points without faces."""
-        return self.given.faces
+        return self.bound_visible.faces
 
     @property
-    def face_given(self) -> np.ndarray:
+    def face_visible(self) -> np.ndarray:
         """(f,) bool, which faces of the bound garment are in `faces`, in the same order."""
         if len(self.faces) == len(self.bound.faces):
             return np.ones(len(self.faces), dtype=bool)
@@ -96,7 +98,7 @@ class Layer:
     @property
     def vertex_count(self) -> int:
         """Number of vertices v that clouds have."""
-        return len(self.given.vertices)
+        return len(self.bound_visible.vertices)
 
     @cached_property
     def rest_garment(self) -> Garment:
@@ -105,10 +107,10 @@ class Layer:
         return self.model.garment.reshaped(self.bound.vertices)
 
     @property
-    def given_garment(self) -> Garment:
+    def visible_garment(self) -> Garment:
         """The part of `rest_garment` that clouds have."""
         every = len(self.faces) == len(self.bound.faces)
-        return self.rest_garment if every else self.rest_garment.submesh(self.face_given)
+        return self.rest_garment if every else self.rest_garment.submesh(self.face_visible)
 
     @cached_property
     def hem_distance(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from numbers import Real
 import numpy as np
 
 from physkin_core.native_module import native
+from physkin_core.renamed import refuse_old_names
 
 __all__ = [
     "AIR_DRAG",
@@ -44,21 +45,28 @@ UPRIGHT_GRAVITY = np.array([0.0, 0.0, -1.0])
 
 RootTracker = native.RootTracker
 """How a root moves, pose by pose: `move(time, root)` gives a `RootSample`, for whoever learns of the root at other
-times than of joints, as the ROS node does. `time` and `root` as of `FrameInput.move`."""
+times than of joints, as the ROS node does. `time` and `root` as of `FrameInput.set_root`."""
 RootSample = native.RootSample
-"""What is known of a root at one pose of it, for `FrameInput.follow`."""
+"""What is known of a root at one pose of it, for `FrameInput.set_root_sample`."""
 
 
+@refuse_old_names
 class FrameInput:
-    """The rows of one avatar's garments, kept from frame to frame.
+    """What the garments of one avatar are given in a frame besides joint positions, kept from frame to frame.
 
-    garments: how many. Raises ValueError for none.
-    rows: (g, 13) float32, which every frame overwrites: effective gravity (3) in units of gravity; passed time [s],
-    negative where the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s] for it;
-    whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
+    In each frame first say where down is, by `set_gravity`, `set_effective_gravity`, `set_root` or `set_root_sample`;
+    then begin the frame, which adds the wind. `fill` does both.
 
-    In each frame first say where down is, by `hang`, `accelerate`, `move` or `follow`; then begin the frame, which adds
-    the wind.
+    Args:
+        garments: how many, 1 or more.
+
+    Attributes:
+        rows: (g, 13) float32, overwritten in every frame: effective gravity (3) in units of gravity; passed time [s],
+            negative if the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s] for
+            it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
+
+    Raises:
+        ValueError: for less than one garment.
 
     Examples:
         >>> frame_input = physkin.FrameInput(1)
@@ -74,14 +82,17 @@ class FrameInput:
         self.rows: np.ndarray = self._native.rows
 
     @property
-    def sways(self) -> tuple[float, ...]:
-        """How much the cloth of each garment moves where the time is known, 1 (the default) all of it: it keeps its
-        pace, and a sway network lets it swing. 0: not at all, and every frame stands by itself. Raises ValueError, when
-        set, for other numbers, or another number of them."""
+    def sway(self) -> tuple[float, ...]:
+        """How much the cloth of each garment moves if the time is known. 1, the default: it keeps its pace, and a sway
+        network lets it swing; 0: not at all, and every frame stands by itself.
+
+        Raises:
+            ValueError: when set to other numbers, or to another number of them.
+        """
         return tuple(self._native.sway(garment) for garment in range(len(self.rows)))
 
-    @sways.setter
-    def sways(self, amounts: Sequence[float]) -> None:
+    @sway.setter
+    def sway(self, amounts: Sequence[float]) -> None:
         if len(amounts) != len(self.rows):
             raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.rows)} garments")
         for garment, amount in enumerate([checked_sway(amount) for amount in amounts]):
@@ -89,10 +100,13 @@ class FrameInput:
 
     @property
     def wind(self) -> tuple[float, float, float]:
-        """Velocity [m/s] (3) of the air in the world, Z up: that of the root's pose; where only gravity's direction is
-        known, the level frame that faces as the root does. It pulls at all garments, however much they sway. A
-        new wind comes up at 30 m/s2. Raises ValueError, when set, unless it is three finite numbers, at most 13 m/s
-        long."""
+        """Velocity [m/s] (3) of the air in the world, Z up: the world of the root's pose or, if only the direction of
+        gravity is known, a level frame that faces the same way as the root. It pulls at all garments, however much they
+        sway. A new wind comes up at 30 m/s2.
+
+        Raises:
+            ValueError: when set to anything but three finite numbers, at most 13 m/s long.
+        """
         return self._native.wind()
 
     @wind.setter
@@ -100,42 +114,70 @@ class FrameInput:
         _checked(self._native.set_wind, np.asarray(velocity))
 
     def reset(self) -> None:
-        """Cloth hangs still in the next frame, as in a first one; for another motion, or after the root was moved by
-        hand."""
+        """Let cloth hang still in the next frame, as in the first one: for another motion, or after the root was moved
+        by hand."""
         self._native.reset()
 
-    def hang(self, gravity: np.ndarray) -> None:
-        """The root is at rest. gravity: (3,) unit direction in its frame. Raises ValueError for another."""
+    def set_gravity(self, gravity: np.ndarray) -> None:
+        """Say where down is, for a root at rest.
+
+        Args:
+            gravity: (3,) unit direction in the root frame.
+
+        Raises:
+            ValueError: for anything else.
+        """
         _checked(self._native.hang, gravity)
 
-    def accelerate(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
-        """The root is accelerated, and nothing more is known of its motion. effective_gravity: (3,) [m/s2] gravity less
-        the root's acceleration, in its frame: zero in free fall, at most three times gravity. at_rest: (3,) [m/s2] what
-        it would be without the acceleration; each garment then feels as much of the difference as it sways, and the
-        wind. Without `at_rest` it is all that pulls at cloth, wind included. Raises ValueError for what is not allowed.
+    def set_effective_gravity(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
+        """Say what pulls at cloth, for an accelerated root of whose motion nothing more is known.
+
+        Args:
+            effective_gravity: (3,) [m/s2] gravity minus the acceleration of the root, in its frame: zero in free fall,
+                at most three times gravity.
+            at_rest: (3,) [m/s2] what it would be without the acceleration. Each garment then gets as much of the
+                difference as it sways, and the wind. None: effective gravity is all that pulls at cloth, wind included.
+
+        Raises:
+            ValueError: for values that are not allowed.
         """
         rest = None if at_rest is None else np.ascontiguousarray(at_rest, dtype=np.float64)
         _checked(lambda vector: self._native.accelerate(vector, rest), effective_gravity)
 
-    def move(self, time: float, root: np.ndarray) -> None:
-        """The root moves through the world. time: [s], of any clock; frames may come at any rate. root: (7,) where it
-        is, x, y, z [m], and its unit quaternion x, y, z, w, world <- root; the world has Z up.
+    def set_root(self, time: float, root: np.ndarray) -> None:
+        """Say where the root is, for a root that moves through the world.
 
         A time that comes twice changes nothing. After more than a quarter of a second, a jump of the root or a clock
-        that goes back, cloth comes to rest by itself. Raises ValueError for values that are not finite, another number
-        of them, or a quaternion of no length.
+        that goes back, cloth comes to rest by itself.
+
+        Args:
+            time: [s], of any clock; frames may come at any rate.
+            root: (7,) x, y, z [m] and unit quaternion x, y, z, w from root to world; the world has Z up.
+
+        Raises:
+            ValueError: for values that are not finite, another number of them, or a quaternion of no length.
         """
         moment = _checked_time(time)
         _checked(lambda vector: self._native.move(moment, vector), root)
 
-    def follow(self, root: native.RootSample) -> None:
-        """The root moves as a `RootTracker` knows it."""
+    def set_root_sample(self, root: native.RootSample) -> None:
+        """Say how the root moves, as a `RootTracker` knows it.
+
+        Args:
+            root: what `RootTracker.move` gave.
+        """
         self._native.follow(root)
 
     def begin_frame(self, time: float | None = None) -> None:
-        """Begin a frame at `time` [s], of any clock, or one that stands by itself, and ends what was before. Where the
-        clock stands, as a joint state may come in parts, the time passed stays that of the frame before. Raises
-        ValueError unless the time is finite."""
+        """Begin a frame, and end the one before.
+
+        Args:
+            time: [s], of any clock. If it is that of the frame before (joint states may come in parts), the time passed
+                stays as it was. None: the frame stands by itself.
+
+        Raises:
+            ValueError: for a time that is not finite.
+        """
         if time is None:
             self._native.begin_still_frame()
         else:
@@ -149,17 +191,24 @@ class FrameInput:
         time: float | None = None,
         root: np.ndarray | None = None,
     ) -> None:
-        """All of it in one call, of what is known: `root`, or else `effective_gravity`, or else `gravity`, here of any
-        length but zero. Raises ValueError as the methods above do, and where `root` is given without `time`, or with
-        `effective_gravity`."""
+        """Do all of it in one call.
+
+        Args:
+            gravity: (3,) direction in the root frame, of any length but zero; used if there is nothing below.
+            effective_gravity: (3,) [m/s2], as for `set_effective_gravity`.
+            time, root: as for `set_root`. `time` alone only begins the frame at that time.
+
+        Raises:
+            ValueError: as the methods above do, and for `root` without `time` or with `effective_gravity`.
+        """
         if root is not None:
             if time is None or effective_gravity is not None:
                 raise ValueError("give time with root, and no effective gravity: it follows from them")
-            self.move(time, root)
+            self.set_root(time, root)
         elif effective_gravity is not None:
-            self.accelerate(effective_gravity)
+            self.set_effective_gravity(effective_gravity)
         else:
-            self.hang(unit_direction(gravity))
+            self.set_gravity(unit_direction(gravity))
         self.begin_frame(time)
 
 

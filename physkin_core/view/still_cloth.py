@@ -39,7 +39,7 @@ class StillCloth:
         """Show garments as they lie (v, 6), and return which: those that were cut flat."""
         found = set()
         for k, (layer, points, colour) in enumerate(zip(outfit.layers, cloth, colours)):
-            look = cloth_look(layer.model.garment, layer.model.fabric, layer.face_given, colour)
+            look = cloth_look(layer.model.garment, layer.model.fabric, layer.face_visible, colour)
             if look is not None:
                 content = still_glb(cloth_meshes(look, points[:, :3], layer.faces))
                 name = f"/world/figure/fabric{k}"

@@ -121,7 +121,7 @@ def garment_mesh(outfit: Outfit, index: int, frame_id: str, *, revision: int = 1
     from physkin_msgs.msg import GarmentMesh
 
     layer = outfit.layers[index]
-    model, bound = layer.model, layer.given
+    model, bound = layer.model, layer.bound_visible
     message = GarmentMesh(
         revision=revision,
         model_name=model.name,

@@ -74,7 +74,7 @@ class AvatarStream:
         self.settings, self.deadline_ns, self.active = settings, deadline_ns, False
         self.statistics = AvatarStatistics()
         self.root = RootState(np.array(settings.gravity), FrameInput(len(settings.garments)))
-        self.root.frame_input.sways, self.root.frame_input.wind = settings.sways, settings.wind
+        self.root.frame_input.sway, self.root.frame_input.wind = settings.sways, settings.wind
         self._follows = settings.orientation == "joints"
         self._unknown: set[str] = set()
         self._node, self._loader, self._transforms = node, loader, transforms
@@ -309,7 +309,7 @@ class AvatarStream:
 
     def set_sway(self, sways: Sequence[float]) -> None:
         """Let the cloth of each garment swing as much from now on, 0 to 1."""
-        self.root.frame_input.sways = sways
+        self.root.frame_input.sway = sways
 
     def _on_motion(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
         self.root.add_motion(motion, stamp_ns, monotonic_ns())

@@ -108,7 +108,7 @@ class LayerMessages:
         self.points = self._cloud.points
         self._nodes = self._marker = None
         if stream.nodes_publisher is not None:
-            self._nodes = NodesMessage(self.layer.given, stream.frame_id, self.revision)
+            self._nodes = NodesMessage(self.layer.bound_visible, stream.frame_id, self.revision)
         if stream.marker_publisher is not None and len(self.layer.faces):
             self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
         self._splats = None
@@ -191,7 +191,7 @@ def same_mesh(before: LayerMessages, now: LoadedLayer) -> bool:
 
 def _mesh_arrays(worn: LayerMessages | LoadedLayer) -> list[np.ndarray]:
     """What the message of its mesh is made of."""
-    skinned = [getattr(worn.layer.given, field.name) for field in fields(SkinningData)]
+    skinned = [getattr(worn.layer.bound_visible, field.name) for field in fields(SkinningData)]
     return [*skinned, worn.layer.faces, worn.layer.visible, body_covered(worn.outfit, worn.index)]
 
 

@@ -38,7 +38,7 @@ class RecordedRoot:
         self.orientation, self.sway = orientation, sway
         self._frames = frame_id, world_frame
         self.frame_input = FrameInput(1)
-        self.frame_input.sways = (sway,)
+        self.frame_input.sway = (sway,)
         self._state = RootState(np.array(gravity), self.frame_input)
         self.down = self._state.direction(0)
         root = RootOrientation(self._state.add_direction, self._move, imu_delay=USUAL_DELAY)

@@ -53,7 +53,7 @@ class RootState:
         if not isinstance(known, EffectiveGravity):
             return None
         felt = FrameInput(1)
-        felt.sways, felt.wind = self.frame_input.sways[garment : garment + 1], self.frame_input.wind
+        felt.sway, felt.wind = self.frame_input.sway[garment : garment + 1], self.frame_input.wind
         _tell(felt, known)
         felt.begin_frame()
         return STANDARD_GRAVITY * felt.rows[0, :3]
@@ -62,7 +62,7 @@ class RootState:
         """Tell the garments what goes with a joint state. Whether it was known how the root moves."""
         known = self._motions.at(stamp_ns, now_ns)
         if known is None:
-            self.frame_input.hang(self.direction(stamp_ns))
+            self.frame_input.set_gravity(self.direction(stamp_ns))
         else:
             _tell(self.frame_input, known)
         return known is not None
@@ -74,9 +74,9 @@ class RootState:
 
 def _tell(frame_input: FrameInput, motion: RootSample | EffectiveGravity) -> None:
     if isinstance(motion, EffectiveGravity):
-        frame_input.accelerate(motion.vector, motion.at_rest)
+        frame_input.set_effective_gravity(motion.vector, motion.at_rest)
     else:
-        frame_input.follow(motion)
+        frame_input.set_root_sample(motion)
 
 
 def _as_networks_know(down: np.ndarray) -> np.ndarray:

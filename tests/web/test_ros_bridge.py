@@ -67,7 +67,7 @@ def test_vertices_are_those_that_python_skins(played, poses, monkeypatch):
     (frame,) = [played.frame(poses[0])]
     for garment, layer in zip(garments, played.outfit.layers):
         nodes = frame[f"{garment['topics']}/garment_nodes"]
-        expected = skinned(layer.given, played.outfit.precision, nodes)
+        expected = skinned(layer.bound_visible, played.outfit.precision, nodes)
         cloud = np.frombuffer(base64.b64decode(garment["positions"]), np.float32).reshape(-1, 3) @ FROM_ROOT_FRAME
         normals = np.frombuffer(base64.b64decode(garment["normals"]), np.float32).reshape(-1, 3) @ FROM_ROOT_FRAME
         assert garment["name"] == layer.name and np.array_equal(garment["faces"], layer.faces.ravel())

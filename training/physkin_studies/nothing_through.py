@@ -127,7 +127,7 @@ class PlayedOutfit:
     def __init__(self, name: str, avatar: Avatar, *, sway: float = 1.0, every: int = 1) -> None:
         self.name, self.every = name, every
         self.dressed = DressedBody([WornGarment(load_garment_model(part)) for part in name.split(",")], avatar)
-        self.free = [draper.outfit.giving(0, draper.bound.unguarded) for draper in self.dressed.alone]
+        self.free = [draper.outfit.with_bound_garment(0, draper.bound.unguarded) for draper in self.dressed.alone]
         rest = self.dressed.whole.drape(self.dressed.whole.rig.rest)
         body = avatar.posed_vertices(self.dressed.whole.bone_transforms(self.dressed.whole.rig.rest))
         closest = BodySurface(body, avatar.faces).closest(np.concatenate(rest)[:, :3])

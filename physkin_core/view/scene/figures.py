@@ -69,7 +69,7 @@ class OutfitFigures:
     def __init__(self, outfit: Outfit) -> None:
         self.outfit = outfit
         layers = outfit.layers
-        self._garments = [layer.given_garment for layer in layers]
+        self._garments = [layer.visible_garment for layer in layers]
         self._hem = np.concatenate([near_hem(layer.rest_garment)[layer.visible] for layer in layers])
         first = np.cumsum([0, *(layer.vertex_count for layer in layers[:-1])])
         self._faces = np.concatenate([layer.faces + start for start, layer in zip(first, layers)])

@@ -284,7 +284,9 @@ class SceneState:
             pose=pose,
             body=outfit.body_to_draw.posed_vertices(bones),
             cloth=self._cloth,
-            plain=tuple(plain_skinning(layer.given, bones) for layer in outfit.layers) if self.show_plain else (),
+            plain=tuple(plain_skinning(layer.bound_visible, bones) for layer in outfit.layers)
+            if self.show_plain
+            else (),
             nodes=tuple(each[..., 3] for each in transforms),
             splats=None if self._splats is None else self._splats.frame(transforms, outfit.features()),
             colours=(self.body_colour, *self.cloth_colours),

@@ -102,5 +102,5 @@ def skinned_layers(outfit):
     engine keeps."""
     clouds = [np.empty((layer.vertex_count, 3), dtype=np.float32) for layer in outfit.layers]
     for layer, nodes, features, cloud in zip(outfit.layers, outfit.node_transforms(), outfit.features(), clouds):
-        Skinner(layer.given).skin(nodes, cloud, features)
+        Skinner(layer.bound_visible).skin(nodes, cloud, features)
     return clouds

@@ -183,7 +183,7 @@ def test_detail_is_in_morph_targets(tmp_path, folded, motion, monkeypatch, capsy
 
     reader, (mean, most, targets) = exported(tmp_path / "walk.glb")
     assert reader.mesh("folded").extras["targetNames"] == [f"fold_{k}" for k in range(int(targets))] and targets > 1
-    given = outfit.layers[0].given
+    given = outfit.layers[0].bound_visible
     apart, turned, unturned = [], [], Skinner(replace(given, faces=given.faces[:0]))  # rest normals know no folds
     rows = np.empty((len(given.vertices), 6), dtype=np.float32)
     for frame, positions in enumerate(motion.positions_for(outfit.rig)):

@@ -215,7 +215,7 @@ def test_agrees_with_the_reference(kind, request, motion):
     """Over consecutive frames and after a jump nearly all vertices are the same to 2 um, none is off by 1 mm (a partner
     may be chosen otherwise by rounding); and neither is the drape without what is kept."""
     outfit = request.getfixturevalue(kind)
-    bounds, orders = [layer.given for layer in outfit.layers], outfit.orders
+    bounds, orders = [layer.bound_visible for layer in outfit.layers], outfit.orders
     native, reference, alone = NativeFrame(bounds, orders), ReferenceFrame(bounds, orders), NativeFrame(bounds)
     moved = 0.0
     for frame in (*range(40, 50), 120):
@@ -247,10 +247,10 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
         told = outfit.node_transforms(), outfit.features()
         for layer, nodes, features, cloud, is_moved in zip(outfit.layers, *told, clouds, moved):
             points = np.empty_like(cloud)
-            Skinner(layer.given).skin(nodes, points, features)
+            Skinner(layer.bound_visible).skin(nodes, points, features)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
-        NativeFrame([layer.given for layer in outfit.layers]).node_transforms(2)
+        NativeFrame([layer.bound_visible for layer in outfit.layers]).node_transforms(2)
 
 
 def test_a_twin_remembers_frames_of_its_own(over_trousers, motion):
@@ -331,7 +331,7 @@ def test_wrong_arrays_are_refused(over_trousers, motion):
 
 def test_indices_of_what_is_kept_are_checked(over_trousers):
     """The native evaluator follows them blindly in a frame, so refuses them when it is built."""
-    (order,), bounds = over_trousers.orders, [layer.given for layer in over_trousers.layers]
+    (order,), bounds = over_trousers.orders, [layer.bound_visible for layer in over_trousers.layers]
     for field in ("contact", "seed", "beside", "ring", "push_to", "moved"):
         wrong = getattr(order, field).copy()
         wrong.flat[3] = 1_000_000

@@ -210,7 +210,7 @@ def test_networks_that_overflow_are_refused():
     with pytest.raises(ValueError, match="corrections of garment nodes"):
         Draper(model, avatar)
     draper = Draper(sane, avatar)
-    draper.outfit = draper.outfit.giving(0, bind_garment(model, avatar))
+    draper.outfit = draper.outfit.with_bound_garment(0, bind_garment(model, avatar))
     out = np.full((draper.vertex_count, 6), 7, dtype=np.float32)
     with pytest.raises(ValueError, match="corrections of garment nodes"):
         draper.drape(*random_pose(rng, model.rig), out=out)

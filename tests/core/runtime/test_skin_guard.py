@@ -60,7 +60,7 @@ def march(rig, frames: int) -> np.ndarray:
 
 def walked(draper: Draper, bound: BoundGarment, motion: np.ndarray) -> np.ndarray:
     """(frames, n, 3) the cloth in a motion, swaying in full."""
-    outfit = draper.outfit.giving(0, bound)
+    outfit = draper.outfit.with_bound_garment(0, bound)
     root = np.array([0, 0, 0, 0, 0, 0, 1.0])
     return np.array(
         [outfit.drape(pose, time=k / RATE, root=root)[0][:, :3] for k, pose in enumerate(motion)], dtype=np.float64
@@ -85,7 +85,9 @@ def test_legs_that_march_stay_under_the_skirt(skirt):
     rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
     thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
-    guarded, free = (walked(skirt, bound, motion) for bound in (skirt.layer.given, skirt.layer.given.unguarded))
+    guarded, free = (
+        walked(skirt, bound, motion) for bound in (skirt.layer.bound_visible, skirt.layer.bound_visible.unguarded)
+    )
     seen, without = inside(skirt, motion, guarded, legs), inside(skirt, motion, free, legs)
     assert without.max() > 15
     assert seen.max() <= 3
@@ -116,7 +118,7 @@ def passed_by_shin(draper: Draper, pose: np.ndarray, cloth: np.ndarray) -> int:
 def test_a_shin_that_folds_takes_the_hem_along():
     """Half of what the skin's normals alone leave across the shin lies on the calf, though no network has moved it."""
     skirt = on_the_avatar(hanging_still("skirt"))
-    rig, bound = skirt.layer.model.rig, skirt.layer.given
+    rig, bound = skirt.layer.model.rig, skirt.layer.bound_visible
     motion = fold(rig, 12)
     by_normals = replace(bound, guard_ways=np.zeros_like(bound.guard_ways))
     led, left = (
@@ -138,7 +140,7 @@ def blown(name, by):
 def test_cloth_that_is_blown_at_legs_does_not_go_through_them(by):
     """What hangs before a shin stays before it, where sway alone would take much of it to the other side."""
     skirt = on_the_avatar(blown("skirt", (by, 0.0, 0.0)))
-    rig, bound = skirt.layer.model.rig, skirt.layer.given
+    rig, bound = skirt.layer.model.rig, skirt.layer.bound_visible
     rest, knees = np.tile(rig.rest, (2, 1)), [rig.bone_names.index(f"lowerleg01.{side}") for side in "LR"]
     hung = on_the_avatar(replace(load_garment_model("skirt"), sway=None)).drape(rig.rest)[:, :3]
     heads = skirt.avatar.bone_heads[knees]
@@ -188,7 +190,7 @@ def circleskirt():
 
 def test_a_hand_presses_the_cloth_in(circleskirt):
     """A quarter less cloth is outside a hand that reaches into it, where it would hide the fingers."""
-    rig, bound, avatar = circleskirt.layer.model.rig, circleskirt.layer.given, circleskirt.avatar
+    rig, bound, avatar = circleskirt.layer.model.rig, circleskirt.layer.bound_visible, circleskirt.avatar
     motion = reached(rig, 12, back=0.5)
     undented = replace(bound, dent_shares=np.zeros_like(bound.dent_shares))
     wrist = rig.bone_names.index("wrist.L")

@@ -30,32 +30,32 @@ def test_a_direction_is_of_unit_length():
     frame_input = FrameInput(1)
     for wrong in (1.01 * DOWN, np.zeros(3), [0, 0, np.nan]):
         with pytest.raises(ValueError, match=r"gravity must be a unit direction \(3,\), got \["):
-            frame_input.hang(wrong)
+            frame_input.set_gravity(wrong)
     with pytest.raises(ValueError, match=r"gravity must have shape \(3,\)"):
-        frame_input.hang(DOWN[:2])
+        frame_input.set_gravity(DOWN[:2])
 
 
 def test_an_effective_gravity_is_finite_and_three_times_gravity_at_most():
     frame_input = FrameInput(1)
     for wrong in ([0, 0, -29.5], [0, np.nan, 0], [np.nan, 0, 0], [0, 0, np.nan], [0, np.inf, 0]):
         with pytest.raises(ValueError, match=r"effective_gravity must be .* up to 29.4 m/s2 long, got \["):
-            frame_input.accelerate(wrong)
+            frame_input.set_effective_gravity(wrong)
 
 
 def test_each_garment_feels_as_much_of_an_acceleration_as_it_sways():
     """Of what differs from a root at rest, where that is known. A sway network goes on, of a root whose velocity is not
     known, under that gravity."""
     frame_input = FrameInput(3)
-    frame_input.sways = (1.0, 0.5, 0.0)
+    frame_input.sway = (1.0, 0.5, 0.0)
     felt, at_rest = np.array([3.0, 0.0, -8.0]), np.array([0.0, 0.0, -9.81])
     for time in (1.0, 1.02):
-        frame_input.accelerate(felt, at_rest)
+        frame_input.set_effective_gravity(felt, at_rest)
         frame_input.begin_frame(time)
     half = (felt + at_rest) / 2
     np.testing.assert_allclose(9.81 * frame_input.rows[:, :3], [felt, half, at_rest], atol=1e-6)
     np.testing.assert_allclose(frame_input.rows[:2, 3:7], [[0.02, 1, 0.02, 1], [0.02, 0.5, 0.02, 1]], atol=1e-6)
     assert not frame_input.rows[:, 7:].any()
-    frame_input.accelerate(felt)
+    frame_input.set_effective_gravity(felt)
     np.testing.assert_allclose(9.81 * frame_input.rows[:, :3], [felt] * 3, atol=1e-6)
 
 
@@ -66,7 +66,7 @@ def test_a_root_that_is_tracked_elsewhere_is_followed():
         root = np.array([0.01 * k * k, 0, 0.9, *Rotation.from_euler("z", 0.05 * k).as_quat()])
         sample = tracker.move(k / 60, root)
         assert sample.known == (k > 0)
-        follows.follow(sample)
+        follows.set_root_sample(sample)
         follows.begin_frame(k / 60)
         own.fill(time=k / 60, root=root)
         np.testing.assert_array_equal(follows.rows, own.rows)
@@ -76,7 +76,7 @@ def test_a_root_that_is_tracked_elsewhere_is_followed():
 def test_times_that_are_not_finite_are_refused():
     frame_input = FrameInput(1)
     for wrong in (np.nan, np.inf):
-        for begin in (frame_input.begin_frame, lambda time: frame_input.move(time, (0, 0, 0, 0, 0, 0, 1))):
+        for begin in (frame_input.begin_frame, lambda time: frame_input.set_root(time, (0, 0, 0, 0, 0, 0, 1))):
             with pytest.raises(ValueError, match=f"time must be finite, got {wrong}"):
                 begin(wrong)
 
@@ -100,4 +100,4 @@ def test_garments_are_counted():
         with pytest.raises(ValueError, match=f"garments is {none}; there must be 1 or more"):
             FrameInput(none)
     with pytest.raises(ValueError, match="sway has 1 numbers; expected one for each of 2 garments"):
-        FrameInput(2).sways = (1.0,)
+        FrameInput(2).sway = (1.0,)

@@ -100,7 +100,7 @@ def swaying(plain):
 def bound_to(swaying, plain):
     """A draper that sways by the network, with frames of its own; nothing is bound anew."""
     draper, network = copy(plain), fold_body(swaying.sway, swaying.sway.code_mean)
-    draper.outfit = plain.outfit.giving(0, replace(plain.bound, **network))
+    draper.outfit = plain.outfit.with_bound_garment(0, replace(plain.bound, **network))
     return draper
 
 
@@ -129,7 +129,7 @@ def test_it_sways_by_the_network_alone(plain, swaying):
 def test_cloth_that_lies_on_a_raised_thigh_sways_no_longer(plain, swaying):
     draper, rig = bound_to(swaying, plain), plain.model.rig
     thighs = np.array([k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")], dtype=np.int32)
-    draper.outfit = draper.outfit.giving(0, replace(draper.bound, sway_thighs=thighs))
+    draper.outfit = draper.outfit.with_bound_garment(0, replace(draper.bound, sway_thighs=thighs))
     left = []
     for degrees in (0, 20, 45, 70):
         pose = rig.rest.copy()
@@ -157,8 +157,8 @@ def test_without_time_or_sway_it_is_the_drape_bit_for_bit(plain, swaying):
 def test_half_the_sway_is_half_the_offsets(plain, swaying):
     """But where cloth meets a leg."""
     exact = physkin.Draper(plain.model, plain.avatar, precision="fp32")
-    free = bound_to(swaying, exact).layer.given.unguarded
-    whole, half = (bound_to(swaying, exact).outfit.giving(0, free) for _ in range(2))
+    free = bound_to(swaying, exact).layer.bound_visible.unguarded
+    whole, half = (bound_to(swaying, exact).outfit.with_bound_garment(0, free) for _ in range(2))
     half.sway = 0.5
     for positions, told in walking(4):
         down = Rotation.from_quat(told["root"][3:]).inv().apply([0, 0, -1])
@@ -244,7 +244,10 @@ def test_garments_of_an_outfit_sway_each_in_its_way(plain, swaying):
     shirt = replace(physkin.load_garment_model("tshirt"), sway=None)
     outfit = physkin.Outfit([swaying, shirt], plain.avatar, hide=False)
     outfit.sway = (0.5, 1.0)
-    singles = [physkin.Outfit([layer.model], plain.avatar).giving(0, layer.given) for layer in outfit.layers]
+    singles = [
+        physkin.Outfit([layer.model], plain.avatar).with_bound_garment(0, layer.bound_visible)
+        for layer in outfit.layers
+    ]
     singles[0].sway = 0.5
     for positions, told in walking(30):
         told["time"] += 0.5 * (told["time"] > 0.2)

@@ -169,4 +169,4 @@ def test_bad_roots_are_refused(time, root, said):
 @pytest.mark.parametrize("amount", [-0.1, 1.1, math.nan, "all", None, np.array(0.5), np.array([0.5])])
 def test_bad_amounts_are_refused(amount):
     with pytest.raises(ValueError, match="must be a number from 0 to 1, got"):
-        FrameInput(1).sways = [amount]
+        FrameInput(1).sway = [amount]

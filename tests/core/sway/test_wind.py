@@ -16,7 +16,7 @@ TURN = Rotation.from_euler("xyz", (0.4, -0.9, 2.0))
 
 def blown(wind=WIND, *, sways=(1.0, 1.0)):
     frame_input = FrameInput(2)
-    frame_input.sways, frame_input.wind = sways, wind
+    frame_input.sway, frame_input.wind = sways, wind
     return frame_input
 
 
@@ -51,7 +51,7 @@ def test_of_a_root_at_rest_it_is_in_the_level_frame_that_faces_as_it_does():
 
 def test_an_acceleration_of_which_rest_is_known_goes_with_wind_and_an_effective_gravity_has_it_in_it():
     frame_input, given = blown(), np.array([1.0, 0.0, -9.0])
-    frame_input.accelerate(given, STANDARD_GRAVITY * DOWN)
+    frame_input.set_effective_gravity(given, STANDARD_GRAVITY * DOWN)
     frame_input.begin_frame(0.0)
     np.testing.assert_allclose(frame_input.rows[:, :3], [given / STANDARD_GRAVITY + pull()] * 2, atol=1e-6)
     np.testing.assert_allclose(felt(blown(), effective_gravity=given), [given / STANDARD_GRAVITY] * 2, atol=1e-6)

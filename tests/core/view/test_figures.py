@@ -39,7 +39,7 @@ def test_strain_of_what_is_given_is_that_of_the_whole(asset_loader):
     state = SceneState(asset_loader, ["tshirt", "dress"])
     layer = state.outfit.layers[0]
     assert 0 < layer.vertex_count < len(layer.rest)
-    part, whole = layer.given_garment, layer.rest_garment
+    part, whole = layer.visible_garment, layer.rest_garment
     np.testing.assert_array_equal(part.faces, layer.faces)
     np.testing.assert_array_equal(part.vertices, whole.vertices[layer.visible])
     lengths = dict(zip(map(tuple, whole.edges.tolist()), whole.edge_lengths))

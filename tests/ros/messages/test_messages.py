@@ -105,13 +105,13 @@ def test_detail_travels(precision, detailed, published):
     draper = detailed(precision=precision)
     outfit, layer = draper.outfit, draper.layer
     cloud = draper.drape(np.full(len(draper.joint_names), 0.1, dtype=np.float32)).copy()
-    nodes = NodesMessage(layer.given, "torso", 3)
+    nodes = NodesMessage(layer.bound_visible, "torso", 3)
     nodes.transforms[:], nodes.features[:] = draper.node_transforms(), draper.features()
     mesh = deserialize_message(serialize_message(garment_mesh(outfit, 0, "torso", revision=3)), messages.GarmentMesh)
     frame = deserialize_message(published(nodes, 5, 6), messages.GarmentNodes)
     assert (frame.header.frame_id, frame.header.stamp.sec, len(frame.features)) == ("torso", 5, 7)
     for each in fields(SkinningData):
-        np.testing.assert_array_equal(getattr(_skinning_data(mesh), each.name), getattr(layer.given, each.name))
+        np.testing.assert_array_equal(getattr(_skinning_data(mesh), each.name), getattr(layer.bound_visible, each.name))
     np.testing.assert_array_equal(GarmentSkin(mesh).skin(frame), cloud)
     mesh.precision = "int8" if precision == "fp32" else "fp32"
     apart = np.linalg.norm((GarmentSkin(mesh).skin(frame) - cloud)[:, :3], axis=1)

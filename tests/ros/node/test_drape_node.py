@@ -184,7 +184,7 @@ def swaying(monkeypatch):
 
     def tell(stream, sways):
         set_sway(stream, sways)
-        assert stream.root.frame_input.sways == sways
+        assert stream.root.frame_input.sway == sways
         told.append(sways)
 
     monkeypatch.setattr(AvatarStream, "set_sway", tell)

@@ -36,9 +36,9 @@ def row_of(motion) -> np.ndarray:
     """What a garment is given (13,)."""
     frame_input = FrameInput(1)
     if isinstance(motion, EffectiveGravity):
-        frame_input.accelerate(motion.vector, motion.at_rest)
+        frame_input.set_effective_gravity(motion.vector, motion.at_rest)
     else:
-        frame_input.follow(motion)
+        frame_input.set_root_sample(motion)
     return frame_input.rows[0].copy()
 
 

@@ -16,7 +16,7 @@ LEANING = (0.0, np.sin(0.2), 0.0, np.cos(0.2))
 def row_of(sample) -> np.ndarray:
     """What a garment is given (1, 13) of a sample."""
     frame_input = FrameInput(1)
-    frame_input.follow(sample)
+    frame_input.set_root_sample(sample)
     return frame_input.rows.copy()
 
 
@@ -27,7 +27,7 @@ def test_it_moves_cloth_as_the_same_time_and_root():
     for k in range(30):
         stamp, place = SECOND + k * SECOND // 60, (k * k / 900, 0.0, 1.0)
         down, sample = motion.move(stamp, place, LEANING)
-        told.move(1e-9 * stamp, np.array([*place, *LEANING]))
+        told.set_root(1e-9 * stamp, np.array([*place, *LEANING]))
         np.testing.assert_array_equal(row_of(sample), told.rows)
         np.testing.assert_allclose(down, [np.sin(0.4), 0, -np.cos(0.4)])
     np.testing.assert_allclose(told.rows[0, :3], down, atol=1e-6)

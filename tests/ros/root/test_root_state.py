@@ -71,7 +71,7 @@ def test_cloth_moves_as_that_of_a_draper_told_time_and_root(drapers, sway):
     """Bit for bit, with a network and without; garments sway by themselves."""
     outfits, told = [[draper.outfit.twin() for draper in drapers] for _ in range(2)]
     state, motion, alone = state_of(*outfits), RootMotion(), drapers[0].outfit.twin()
-    state.frame_input.sways = sways = (sway, 1.0)
+    state.frame_input.sway = sways = (sway, 1.0)
     drapes, moved = [bound(state, outfit, row) for row, outfit in enumerate(outfits)], 0.0
     for outfit, amount in zip(told, sways):
         outfit.sway = amount
@@ -121,7 +121,7 @@ def test_effective_gravity_swings_cloth_as_that_of_a_draper(outfit):
 def test_an_acceleration_is_felt_as_much_as_garments_sway(outfit):
     """Where it is known what it would be without: of an IMU, but not from the topic of effective gravity."""
     state, at_rest = state_of(outfit, outfit), STANDARD_GRAVITY * np.array([0.6, 0, -0.8])
-    state.frame_input.sways, felt = (1.0, 0.25), at_rest + np.array([4.0, 0.0, 2.0])
+    state.frame_input.sway, felt = (1.0, 0.25), at_rest + np.array([4.0, 0.0, 2.0])
     for motion, shares in ((EffectiveGravity(felt, at_rest), (1, 0.25)), (EffectiveGravity(felt), (1, 1))):
         state.add_motion(motion, 0, now_ns=0)
         state.take(0, 0)
@@ -137,7 +137,7 @@ def test_without_sway_every_frame_is_draped_by_itself(outfit):
         down, sample = motion.move(stamp, place, turn)
         state.add_motion(sample, stamp, now_ns=0)
         if k in (10, 20):
-            state.frame_input.sways = (float(k == 20),)
+            state.frame_input.sway = (float(k == 20),)
         state.take(stamp, 0)
         state.begin_frame(*(divmod(stamp, 10**9) if k < 20 else (0, 0)))
         (cloud,), (expected,) = drape(pose), alone.drape(pose, state.frame_input.rows[0, :3])
@@ -154,7 +154,7 @@ def test_sway_may_change_while_running(drapers):
         drape = bound(state, worn)
         for k, (stamp, pose, place, turn) in enumerate(frames(told.rig)):
             told.sway = sway = (1.0, 0.3, 0.0)[k // 4 % 3]
-            state.frame_input.sways = (sway,)
+            state.frame_input.sway = (sway,)
             state.add_motion(motion.move(stamp, place, turn)[1], stamp, now_ns=0)
             state.take(stamp, 0)
             state.begin_frame(*divmod(stamp, 10**9))
@@ -189,7 +189,7 @@ def test_an_outfit_swings_as_one_told_time_and_root():
     told = Outfit(models, random_avatar(rng, inner.rig), precision="fp32", hide=False)
     worn, motion = told.twin(), RootMotion()
     state, told.sway = state_of(worn), amounts
-    state.frame_input.sways, drape = amounts, bound(state, worn)
+    state.frame_input.sway, drape = amounts, bound(state, worn)
     for stamp, pose, place, turn in frames(told.rig):
         state.add_motion(motion.move(stamp, place, turn)[1], stamp, now_ns=0)
         state.take(stamp, 0)
@@ -202,7 +202,7 @@ def test_effective_gravity_that_is_reported(drapers):
     """As the garment feels it, wind included, before any joint state comes; there is none while messages say where the
     root is."""
     state, motion = state_of(*(draper.outfit for draper in drapers)), RootMotion()
-    state.frame_input.sways = (0.5, 1.0)
+    state.frame_input.sway = (0.5, 1.0)
     assert state.effective_gravity(1, 0) is None
     for k in range(20):
         state.add_motion(motion.move(k + 1, (0, 0, 0), (0, 0, 0, 1))[1], k + 1, now_ns=0)

@@ -179,7 +179,7 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8, seed: int = 
     fits = (0.0, 1.0)
     drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
     for draper in drapers:  # torch knows nothing of the guard
-        draper.outfit = draper.outfit.giving(0, draper.bound.unguarded)
+        draper.outfit = draper.outfit.with_bound_garment(0, draper.bound.unguarded)
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
