@@ -71,5 +71,5 @@ def test_a_scene_has_the_garments_as_python_skins_them(converter):
         points = np.array([[point[axis] for axis in "xyz"] for point in triangles["points"]])
         expected = np.empty((len(points), 6), dtype=np.float32)
         transforms, features = (np.array(message[name], np.float32) for name in ("transforms", "features"))
-        Skinner(layer.given, precision="fp32").skin(transforms.reshape(-1, 3, 4), expected, features)
+        Skinner(layer.bound_visible, precision="fp32").skin(transforms.reshape(-1, 3, 4), expected, features)
         assert np.linalg.norm(points - expected[:, :3], axis=1).max() < 1e-4
