@@ -124,7 +124,7 @@ def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, w
         raise AvatarError(
             f"avatar {source} is no person in A- or T-pose that the body model fits: {fit.residual * 1000:.0f} mm mean "
             f"distance, allowed {LARGEST_RESIDUAL * height * 1000:.0f} mm; bring a rig file with bones, or with "
-            '"up": "Y", "forward": "Z"'
+            '"up": "Y", "forward": "Z"; a garment goes behind -g, not here'
         )
     bones, weights = carry_influences(vertices, faces, fit.vertices, body)
     warning = (
