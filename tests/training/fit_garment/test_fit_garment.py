@@ -220,14 +220,18 @@ def test_as_many_poses_are_measured_as_there_is_time_for(left, measured, write_v
     ("energies", "words"),
     [
         ([4.0, 3.0, 2.0, 1.5, 1.0], "A longer run is worth while: over the last 25 % of the steps"),
-        ([4.0, 3.0, 2.0, 1.5, 1.0], "went from 2.0000 to 1.0000 J (-50.0 %)"),
+        ([4.0, 3.0, 2.0, 1.5, 1.0], "went from 2.0000 to 1.0000 J (-40.0 % of what strains it)"),
+        ([0.0, -1.0, -2.0, -2.5, -3.0], "went from -2.0000 to -3.0000 J (-40.0 % of what strains it)"),
         ([4.0, 1.0, 1.01, 1.0, 1.0], "A longer run would gain little: over"),
         ([4.0], "Too short a run"),
         ([], "Too short a run"),
     ],
 )
 def test_the_report_says_whether_to_train_longer(energies, words):
-    rows = [{"step": 100 * (k + 1), "validation_energy": energy} for k, energy in enumerate(energies)]
+    rows = [
+        {"step": 100 * (k + 1), "validation_energy": energy, "validation_strained": 2.5}
+        for k, energy in enumerate(energies)
+    ]
     assert words in training_record.longer_or_not([{"step": 50}, *rows])
 
 

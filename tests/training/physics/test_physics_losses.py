@@ -16,7 +16,7 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material, RestAngles
 from physkin_training.energies.band import BAND_SLACK, BAND_STIFFNESS
 from physkin_training.energies.collision import LED_BACK_BEYOND
-from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.physics_losses import PhysicsLosses, lightened
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from training import physics_oracle as oracle
@@ -343,3 +343,9 @@ def test_heavy_samples_weigh_less(scene):
     np.testing.assert_array_equal(same.total.numpy(), energies.total.numpy())
     factor = 1 / np.sqrt(1 + strained / 0.02)
     np.testing.assert_allclose(weighted, plain * factor[:, None, None], rtol=1e-4, atol=1e-7)
+
+
+def test_lightened_energies_have_the_gradients_of_heavy_samples():
+    energy = torch.tensor([0.0, 0.02, 3.0], dtype=torch.float64, requires_grad=True)
+    lightened(energy, 0.02).sum().backward()
+    torch.testing.assert_close(energy.grad, (1 + energy.detach() / 0.02).rsqrt())

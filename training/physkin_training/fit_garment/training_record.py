@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 __all__ = ["learnt", "longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "taken_over", "undertrained"]
 
-LAST, STILL_FALLING = 0.25, 3.0
+LAST, STILL_FALLING = 0.25, 2.0
 """Share of the run at its end, and by how many percent the validation energy falls in it where more is worth while."""
 FEW_STEPS = 1000
 """Fewer have hardly begun; from some 10,000 on strains are close to those of the shipped garments."""
@@ -43,20 +43,21 @@ def loss_curve(rows: list[dict]) -> str:
 
 
 def longer_or_not(rows: list[dict]) -> str:
-    """Whether the energy on the validation poses still fell at the end, in words, with the figure.
+    """Whether the energy on the validation poses still fell at the end, in words, with the figure: against the energy
+    without gravity, which has no zero of its own.
 
     rows: of the training's `losses.jsonl`.
     """
-    measured = [(row["step"], row["validation_energy"]) for row in rows if "validation_energy" in row]
-    earlier = [energy for step, energy in measured if step <= (1 - LAST) * measured[-1][0]]
+    measured = [row for row in rows if "validation_energy" in row]
+    earlier = [row for row in measured if row["step"] <= (1 - LAST) * measured[-1]["step"]]
     if not earlier:
         return "Too short a run to say whether a longer one is worth while."
-    before, last = earlier[-1], measured[-1][1]
-    fell = 100 * (before - last) / before
+    before, last = earlier[-1]["validation_energy"], measured[-1]["validation_energy"]
+    fell = 100 * (before - last) / measured[-1]["validation_strained"]
     advice = "A longer run is worth while" if fell > STILL_FALLING else "A longer run would gain little"
     return (
         f"{advice}: over the last {100 * LAST:g} % of the steps the energy of the cloth in poses that are only "
-        f"measured, not trained on, went from {before:.4f} to {last:.4f} J ({-fell:+.1f} %)."
+        f"measured, not trained on, went from {before:.4f} to {last:.4f} J ({-fell:+.1f} % of what strains it)."
     )
 
 

@@ -25,7 +25,7 @@ from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.quiet_warp import wp
 
-__all__ = ["TERMS", "Energies", "PhysicsLosses"]
+__all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]
 
 TERMS = ("stretch", "bend", "collision", "gravity", "band")
 """The energies, in the order of `Energies`."""
@@ -48,6 +48,17 @@ class Energies:
     def total(self) -> torch.Tensor:
         """Sum of the terms (B,)."""
         return sum(getattr(self, name) for name in TERMS)
+
+    @property
+    def strained(self) -> torch.Tensor:
+        """All terms but gravity (B,)."""
+        return self.total - self.gravity
+
+
+def lightened(energy: torch.Tensor, heavy_energy: float) -> torch.Tensor:
+    """What an energy E [J] counts where its gradient is weighted as a sample's in `PhysicsLosses`: the integral of
+    1 / sqrt(1 + E / heavy_energy)."""
+    return 2 * heavy_energy * ((1 + energy / heavy_energy).sqrt() - 1)
 
 
 class PhysicsLosses:

@@ -69,6 +69,7 @@ class RunReports:
         if trainer.validation_energy is not None:
             row["validation_energy"] = trainer.validation_energy
             row["validation_energy_made_to_measure"] = trainer.validation.made_to_measure
+            row["validation_strained"] = trainer.validation.strained
         if trainer.best:
             row |= {"best_validation_energy": trainer.best.energy, "best_step": trainer.best.step}
         if trainer.processes.writes:

@@ -42,7 +42,7 @@ from physkin_training.train.recorded_step import RecordedStep
 from physkin_training.train.schedule import EARLY_REACH, Schedule
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
-from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, BestModel, Validation
+from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
@@ -50,8 +50,6 @@ NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 ENGINE_SHARE = 1 / 8
 """Share of a body's poses that are skinned by the weights for engines; one at least."""
-HEAVY_ENERGY = 0.1
-"""[J] Poses of more energy count less in the gradient (see `PhysicsLosses`)."""
 LARGEST_GRADIENT = 10.0
 """Longer gradients are shortened to this norm."""
 
@@ -251,7 +249,7 @@ class Trainer:
         Raises TrainingDiverged when it is not finite.
         """
         with self._recorded.beside():
-            energy = self.validation.energy(self.averaged, with_gravity=False)
+            energy = self.validation.mean_energy(self.averaged)
         if not math.isfinite(energy):
             raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
         return energy

@@ -1,4 +1,5 @@
-"""Which model of a run to keep: mean energy of the averaged networks on bodies and poses that stay the same.
+"""Which model of a run to keep: energy of the averaged networks on bodies and poses that stay the same, each pose
+weighted as in training.
 
 A run can end in a worse state than it has been through (docs/notebook/training-runs.md), so the best is kept. The
 bodies are training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
@@ -8,6 +9,7 @@ Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,17 +22,20 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.physics_losses import PhysicsLosses
+from physkin_training.physics.physics_losses import Energies, PhysicsLosses, lightened
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.train.processes import Processes
 
-__all__ = ["CONTACT_LINEAR_BEYOND", "BestModel", "Validation"]
+__all__ = ["CONTACT_LINEAR_BEYOND", "HEAVY_ENERGY", "BestModel", "Validation"]
 
 CONTACT_LINEAR_BEYOND = 0.01
 """Depth [m] from which contact's force grows no further, while training (see `PhysicsLosses`)."""
+HEAVY_ENERGY = 0.1
+"""[J] Poses of more energy count less (see `PhysicsLosses`). In a plain mean the few heaviest would decide, which may
+rise while all others still fall."""
 BATCHES = 4
 """The set is this many times as large as a training step's: four passes forward cost about as much as three steps."""
 
@@ -55,9 +60,9 @@ class Validation:
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
     samples to come notice it. Of several processes each measures its share of the same set. fits, rest: rest shapes of
-    the set, which is measured both at the template and made to measure. `made_to_measure`: the last mean energy [J] of
-    the latter, None before the first. `chosen` (k, S) indices of bodies, `positions` (k, B, d) [rad] and `gravity` (k,
-    B, 3): this process's share of the set.
+    the set, which is measured both at the template and made to measure. Of the last measurement, None before the first:
+    `made_to_measure` [J], that of the latter alone, and `strained` [J], that without gravity. `chosen` (k, S) indices
+    of bodies, `positions` (k, B, d) [rad] and `gravity` (k, B, 3): this process's share of the set.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class Validation:
         optimisation = config.optimisation
         self._processes, self._fits = processes, fits
         self.made_to_measure: float | None = None
+        self.strained: float | None = None
         generator = torch.Generator().manual_seed(config.seed)
         chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
         sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
@@ -101,11 +107,23 @@ class Validation:
             rest=rest,
         )
 
+    def energy(self, drape: Drape) -> float:
+        """Mean energy [J] over the poses, all but gravity `lightened`, at the material's full contact stiffness: about
+        what training descends. The mean of the template and made to measure. Waits for the device."""
+        measured = self._means(drape, lambda each: (lightened(each.strained, HEAVY_ENERGY), each.gravity))
+        _, self.made_to_measure = measured.sum(dim=1).tolist()
+        self.strained, gravity = measured.mean(dim=0).tolist()
+        return self.strained + gravity
+
+    def mean_energy(self, drape: Drape) -> float:
+        """Mean energy [J] without gravity, heavy poses in full; otherwise as `energy`."""
+        return self._means(drape, lambda each: (each.strained,)).mean().item()
+
     @torch.no_grad()
-    def energy(self, drape: Drape, *, with_gravity: bool = True) -> float:
-        """Mean energy [J], all terms, or all but gravity, at the material's full contact stiffness; contact grows
-        linearly where it does in training. The mean of the template and made to measure. Waits for the device."""
-        totals = torch.zeros(2, device=self.chosen.device)
+    def _means(self, drape: Drape, parts: Callable[[Energies], tuple[torch.Tensor, ...]]) -> torch.Tensor:
+        """Means [J] over the set of parts of the energies, at the template and made to measure: (2, number of parts).
+        Contact grows linearly where it does in training."""
+        means: list[list[torch.Tensor]] = [[], []]
         for batch, chosen in enumerate(self.chosen):
             positions, gravity = self.positions[batch], self.gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
@@ -119,11 +137,11 @@ class Validation:
                 vertices = drape(
                     modulation, positions, gravity, drape.posed_nodes(bones, worn.node_positions), worn.rest
                 )
-                mean, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-                totals[way] += (mean if with_gravity else mean - energies.gravity.mean()) / BATCHES
-        self._processes.average([totals])
-        template, self.made_to_measure = totals.tolist()
-        return (template + self.made_to_measure) / 2
+                _, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
+                means[way].append(torch.stack([part.mean() for part in parts(energies)]))
+        found = torch.stack([torch.stack(way).mean(dim=0) for way in means])
+        self._processes.average([found])
+        return found
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""
