@@ -102,7 +102,8 @@ def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
     same, faces = whole.drape(rest)[0][layer.visible], layer.model.garment.faces
     np.testing.assert_allclose(same[:, :3], some[:, :3], atol=1e-6)
     at_edge = np.bincount(faces.ravel())[layer.visible] > np.bincount(layer.faces.ravel())
-    np.testing.assert_allclose(same[~at_edge], some[~at_edge], atol=1e-6, err_msg="normals are of faces that are given")
+    said = "normals are of faces that are given"  # sums of eight-bit steps are rounded block by block
+    np.testing.assert_allclose(same[~at_edge], some[~at_edge], atol=4e-6, err_msg=said)
 
 
 def test_a_wide_skirt_does_not_cover_ankles_below_its_hem():

@@ -26,8 +26,8 @@ from physkin_training.config import TrainingConfig, as_toml, load_config
 from physkin_training.evaluate import contact_sheet
 from physkin_training.fit_garment import fit_garment, report, training_record
 from physkin_training.fit_garment.checks import CheckedGarment
-from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.verdicts import Verdict
+from physkin_training.time_budget import TimeBudget
 from physkin_training.train import run_reports, train
 from physkin_training.train.trainer import Trainer
 

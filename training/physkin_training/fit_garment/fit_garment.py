@@ -33,9 +33,9 @@ from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, started_from
 from physkin_training.fit_garment.report import placement_picture, write_report
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
-from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
 from physkin_training.fit_garment.verdicts import in_lines
+from physkin_training.time_budget import TimeBudget
 from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer

@@ -23,7 +23,6 @@ from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.score_table import table
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.own_pose import OwnPose
-from physkin_training.fit_garment.time_budget import TimeBudget
 from physkin_training.fit_garment.training_record import (
     learnt,
     longer_or_not,
@@ -33,6 +32,7 @@ from physkin_training.fit_garment.training_record import (
     undertrained,
 )
 from physkin_training.fit_garment.verdicts import COLUMNS, Verdict
+from physkin_training.time_budget import TimeBudget
 
 __all__ = [
     "badge",

@@ -1,4 +1,4 @@
-"""What a mesh brings along of how it was sewn, on the repaired mesh: flat panels, by its texture places, and creases.
+"""What a mesh brings along of how it was sewn, on the repaired mesh: flat panels, by texture coordinates, and creases.
 
 Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth, `c` creases. Metres.
 """
@@ -36,7 +36,9 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
 
     lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was carried to another body, if it was.
     """
-    allowed = "texture places in metres, as large as the mesh (0.8 to 1.25 times), are flat panels; others are a look"
+    allowed = (
+        "texture coordinates in metres, as large as the mesh (0.8 to 1.25 times), are flat panels; others are a look"
+    )
 
     def panels_at(vertices: np.ndarray, uv: np.ndarray):
         return panels_of_texture(vertices, checks.faces, face_areas(vertices, checks.faces), uv)
@@ -53,7 +55,7 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         )
         panels, refused = panels_at(checks.vertices, uv)
         if panels is None:
-            found = f"dropped, and the texture places with it: graded to the template, {refused}"
+            found = f"dropped, and the texture coordinates with it: graded to the template, {refused}"
             checks.say("flat rest shape", "warning", found, allowed)
             return replace(look, uv=np.full_like(look.uv, np.nan))
         found += f"; graded to the template, edges by {changed:.1f} %, to {off:.1f} % of what the mesh says"

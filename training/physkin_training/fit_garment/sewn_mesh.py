@@ -29,8 +29,8 @@ EDGE_LENGTH = 0.015
 def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, device: torch.device) -> MeshFile:
     """The garment of a pattern, sewn and hung on an avatar in the canonical pose: root frame, metres.
 
-    Its texture places are those on the flat cloth, its parts are the panels. edge_length: of the triangles [m]. Raises
-    PatternError as `load_pattern`, `cut` and `sewn` do.
+    Its texture coordinates are those on the flat cloth, its parts are the panels. edge_length: of the triangles [m].
+    Raises PatternError as `load_pattern`, `cut` and `sewn` do.
     """
     pieces = cut(load_pattern(path), edge_length)
     log.info("%s: %d panels of %d vertices are sewn", path, len(pieces.names), len(pieces.places))
