@@ -135,11 +135,9 @@ def panels_of_texture(
         sides = [np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2) for x in (uv, vertices[faces])]
         times = float(np.median(sides[0] / sides[1]))
         fault = panel_fault(places, panel_faces, areas)
+    median_edge = f"the median edge is {times:.3g} times as long as in the mesh"
     if not IN_METRES[0] <= times <= IN_METRES[1]:
-        return (
-            None,
-            f"texture coordinates are not in metres: the median edge is {times:.3g} times as long as in the mesh",
-        )
+        return None, f"texture coordinates are not in metres: {median_edge}"
     if fault:
         return None, f"texture coordinates are no flat cloth: {fault}"
     ratio = np.abs(flat_areas(uv)) / areas
@@ -149,7 +147,4 @@ def panels_of_texture(
             f"texture coordinates are not flat cloth: {100 * alike:.0f} % of the faces have the area that they have in "
             f"the mesh, up to a factor of {ALIKE:g}"
         )
-    return (
-        places,
-        panel_faces,
-    ), f"texture coordinates in metres, the median edge {times:.3g} times as long as in the mesh"
+    return (places, panel_faces), f"texture coordinates in metres, {median_edge}"

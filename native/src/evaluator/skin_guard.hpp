@@ -1,7 +1,8 @@
 // Keeps cloth that hangs free out of legs, hips and trunk: garment nodes that sway through a leg or into the skin sway
-// less, and are then moved out along its normal, before skinning, so that all that is skinned to them (vertices, points, other meshes) goes
-// along smoothly. What sways remembers nothing of it: it depends on the frame's garment nodes alone, and is as smooth in
-// time as they are. physkin_core/runtime/skin_guard.py says which cloth that is, and fits the skin.
+// less, and are then moved out along its normal, before skinning, so that all that is skinned to them (vertices,
+// points, other meshes) goes along smoothly. What sways remembers nothing of it: it depends on the frame's garment
+// nodes alone, and is as smooth in time as they are. physkin_core/runtime/skin_guard.py says which cloth that is, and
+// fits the skin.
 #pragma once
 
 #include <vector>

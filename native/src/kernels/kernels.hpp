@@ -143,7 +143,8 @@ struct Kernels {
                       float* beyond);
 
   // Of ways from points to others, both (3, count) as above, the share (count,) that is to go so that none leads through
-  // the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin inside go on.
+  // the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin inside go
+  // on.
   void (*axis_crossed)(const float* axis, const float* widths, int stretches, const float* from, const float* to,
                        int count, float* crossed);
 
