@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import MotionError
+from physkin_core.rig.rig import Rig
 from physkin_training.dynamics.command import main
 from physkin_training.dynamics.reference import Reference, load_reference, save_reference, spread, swinging_vertices
-from physkin_training.dynamics.scenes import ROOT_SCENES, SWING_ACCELERATION, load_scene
+from physkin_training.dynamics.scenes import ACTED_SCENES, RISE, ROOT_SCENES, SWING_ACCELERATION, load_scene
 from physkin_training.dynamics.swing_figures import settling, swing
 
 RIG = load_body_model().rig
 
 
-@pytest.mark.parametrize("name", ["walk", "dance@0.5", *ROOT_SCENES])
+@pytest.mark.parametrize("name", ["walk", "dance@0.5", *ROOT_SCENES, *ACTED_SCENES])
 def test_scenes_begin_at_rest_and_clips_end_there(name):
     scene = load_scene(name, RIG, seconds=4.0)
     assert scene.frame_count == 240
@@ -33,10 +35,41 @@ def test_the_root_swings_as_hard_at_any_rate():
         assert acceleration == pytest.approx(SWING_ACCELERATION, rel=0.05)
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("walk", 1.0), ("kick@9", 5.0), ("nothing", 5.0)])
+@pytest.mark.parametrize(("name", "seconds"), [("walk", 1.0), ("kick@9", 5.0), ("nothing", 5.0), ("stairs", 2.7)])
 def test_scenes_that_cannot_be(name, seconds):
     with pytest.raises(MotionError):
         load_scene(name, RIG, seconds=seconds)
+
+
+@pytest.mark.parametrize(("name", "bend"), [("stairs", 70), ("sit", 90)])
+def test_feet_of_acted_scenes_stay_where_they_stand_and_thighs_are_raised(name, bend):
+    scene = load_scene(name, RIG, seconds=4.2)
+    assert (scene.positions >= RIG.lower).all() and (scene.positions <= RIG.upper).all()
+    turn = Rotation.from_quat(scene.root_orientation).as_matrix()
+    bones = RIG.bone_transforms(scene.positions)
+
+    def place(bone: str, at: np.ndarray) -> np.ndarray:
+        bone = bones[:, RIG.bone_index(bone)]
+        return np.einsum("tij,tj->ti", turn, bone[:, :, :3] @ at + bone[:, :, 3]) + scene.root_position
+
+    for side in "LR":
+        thigh, shin, foot = (RIG.bone_index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01", "foot"))
+        hip, knee, ankle = (place(RIG.bone_names[bone], RIG.heads[bone]) for bone in (thigh, shin, foot))
+        assert ankle[:, 2].min() > ankle[0, 2] - 0.005
+        height = ankle[:, 2] - ankle[0, 2]
+        stands = np.flatnonzero(np.isin(np.round(height, 3), np.round(RISE * np.arange(4), 3)))
+        for run in np.split(stands, np.flatnonzero(np.diff(stands) > 1) + 1):
+            if len(run) > 12:  # not one that passes the height of a stair
+                assert np.linalg.norm(ankle[run] - ankle[run[len(run) // 2]], axis=1).max() < 0.03
+        down = (knee - hip)[:, 2] / np.linalg.norm(knee - hip, axis=1)
+        assert np.degrees(np.arccos(-down)).max() == pytest.approx(bend, abs=10)
+        assert {"stairs": 3 * RISE, "sit": 0}[name] == pytest.approx(height[-1], abs=0.005)
+
+
+def test_a_rig_without_legs_cannot_climb():
+    arm = Rig(("root",), np.array([-1]), np.zeros((1, 3)), np.array([[0, 0, 1.0]]), ())
+    with pytest.raises(MotionError, match="upperleg01.L"):
+        load_scene("stairs", arm, seconds=5.0)
 
 
 def test_a_reference_is_read_as_it_was_written(tmp_path):

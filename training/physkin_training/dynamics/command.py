@@ -17,13 +17,13 @@ from physkin_core.motion.motion import Motion
 from physkin_training.devices import DEFAULT_DEVICE, resolve_device
 from physkin_training.dynamics.dynamic_simulation import TOLERANCE, DynamicSimulation, Frame
 from physkin_training.dynamics.reference import Reference, save_reference, spread, swinging_vertices
-from physkin_training.dynamics.scenes import ROOT_SCENES, load_scene
+from physkin_training.dynamics.scenes import ACTED_SCENES, ROOT_SCENES, load_scene
 from physkin_training.energies.motion import Dynamics
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 __all__ = ["main"]
 
-DEFAULT_SCENES = ("walk", "run", "dance", "jump", "kick", "cartwheel", *ROOT_SCENES)
+DEFAULT_SCENES = ("walk", "run", "dance", "jump", "kick", "cartwheel", *ROOT_SCENES, *ACTED_SCENES)
 
 
 def main(argv: list[str]) -> int:
@@ -45,7 +45,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=DEFAULT_SCENES,
         metavar="SCENE",
-        help=f"clips, from CLIP@SECONDS on where wanted, or {', '.join(ROOT_SCENES)} (default: %(default)s)",
+        help=f"clips, from CLIP@SECONDS on where wanted, or {', '.join((*ROOT_SCENES, *ACTED_SCENES))} "
+        "(default: %(default)s)",
     )
     parser.add_argument("--seconds", type=float, default=5.5, help="length of every scene (default %(default)s)")
     parser.add_argument("--bodies", type=int, default=3, help="held-out ones, from lean to stout (default %(default)s)")

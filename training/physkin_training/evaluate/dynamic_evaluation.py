@@ -26,7 +26,7 @@ from physkin_core.quality import edge_strain
 from physkin_core.sway.frame_input import FrameInput
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
-from physkin_training.dynamics.scenes import ROOT_SCENES, scene_wind
+from physkin_training.dynamics.scenes import ACTED_SCENES, ROOT_SCENES, scene_wind
 from physkin_training.dynamics.swing_figures import octaves, settling, swing, turning
 from physkin_training.energies.motion import Dynamics
 
@@ -179,7 +179,7 @@ def _potentials(rows: list[Played], model: GarmentModel, body_model: BodyModel, 
 def _swinging(rows: list[Played]) -> dict:
     kinds = ("simulated", "quasi_static", "swaying")
     found: dict = {"swings": {}}
-    clips = [row for row in rows if row.reference.motion.name not in ROOT_SCENES]
+    clips = [row for row in rows if row.reference.motion.name not in (*ROOT_SCENES, *ACTED_SCENES)]
     if clips:
         found["octaves"] = {
             kind: _mean([octaves(getattr(row, kind), row.simulated, row.reference.motion) for row in clips])
