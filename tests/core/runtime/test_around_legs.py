@@ -6,7 +6,7 @@ from random_models import random_rig
 
 import physkin_core as physkin
 from physkin_core.model.garment import Garment
-from physkin_core.runtime.around_legs import goes_round_both_legs
+from physkin_core.runtime.around_legs import goes_round_both_legs, hangs_below_knees
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +65,11 @@ def test_of_shipped_garments(name, does):
     """A T-shirt does at its hem."""
     model = physkin.load_garment_model(name)
     assert goes_round_both_legs(model.garment, model.rig, model.node_rest, model.node_bone) == does
+
+
+@pytest.mark.parametrize(
+    ("shipped", "hangs"), [("tshirt", False), ("shorts", False), ("trousers", True), ("dress", True)]
+)
+def test_what_hangs_below_the_knees(shipped, hangs):
+    model = physkin.load_garment_model(shipped)
+    assert hangs_below_knees(model.rig, model.node_bone) == hangs

@@ -58,7 +58,7 @@ def test_a_model_learns_to_sway(band, quick, tmp_path, capsys):
 def test_the_file_sways_as_the_network_that_was_learnt(band, monkeypatch):
     monkeypatch.setattr("physkin_training.sway.body_codes.BODIES", 16)
     model, body_model = load_garment_model(band), load_body_model()
-    joints, device = swaying_joints(model.rig), torch.device("cpu")
+    joints, device = swaying_joints(model, np.ones(len(model.node_rest), dtype=bool)), torch.device("cpu")
     codes = BodyCodes.of(model, body_model, device)
     torch.manual_seed(0)
     network = SwayModule(len(joints), len(codes.directions), 12 * len(model.node_rest))

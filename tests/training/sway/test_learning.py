@@ -32,7 +32,7 @@ def band():
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         walkers = simulated_walkers(model, BODY_MODEL, BodyCodes.of(model, BODY_MODEL, CPU), CPU, **options)
-        yield model, walkers, Features(model.rig, swaying_joints(model.rig), CPU)
+        yield model, walkers, Features(model.rig, swaying_joints(model, walkers.free.numpy()), CPU)
         torch.set_num_threads(threads)
 
 
@@ -40,7 +40,8 @@ def learnt(band, steps):
     model, walkers, features = band
     generator = torch.Generator().manual_seed(0)
     some, held_out = split(walkers, generator)
-    network = learnt_network(walkers, features, some, generator, joints=len(swaying_joints(model.rig)), steps=steps)
+    joints = len(swaying_joints(model, walkers.free.numpy()))
+    network = learnt_network(walkers, features, some, generator, joints=joints, steps=steps)
     return network, some, held_out
 
 

@@ -130,12 +130,13 @@ def learn_sway(
     Raises ValueError for a rig that everyday poses are not of, and as `SwayPlan`, `simulated_walkers` and
     `load_walkers`.
     """
-    if not (model.node_rest[:, 2] <= plan.held_above).any():
+    free = model.node_rest[:, 2] <= plan.held_above
+    if not free.any():
         raise ValueError(f"--held-above {plan.held_above:g} m holds all garment nodes: none is left to sway")
     body_model = load_body_model()
     if plan.bodies > len(body_model.train_bodies):
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
-    joints = swaying_joints(model.rig)
+    joints = swaying_joints(model, free)
     codes = BodyCodes.of(model, body_model, device)
     described = _described(model, plan)
     if walkers_file is not None and walkers_file.exists():

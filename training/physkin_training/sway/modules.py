@@ -11,9 +11,11 @@ import numpy as np
 import torch
 from torch import nn
 
+from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import drive_size, pose_size
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.around_legs import hangs_below_knees, thighs
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 
@@ -24,8 +26,6 @@ LARGEST_TURNING: float = native.constants["largest_turning"]
 MOST_SPEED_UP: float = native.constants["most_speed_up"]
 """As in C++, which says what they are."""
 
-JOINTS = ("spine05", "upperleg", "lowerleg", "foot")
-"""Bones whose joints the network looks at."""
 HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
 SLOWEST, FASTEST = 3.2, 12.0
 """[1/s] by which oscillators decay at first."""
@@ -37,11 +37,17 @@ LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
 
 
-def swaying_joints(rig: Rig) -> np.ndarray:
-    """The joints (j,) int32 that a sway network looks at. Raises ValueError for a rig without them."""
-    joints = np.array([k for k, name in enumerate(rig.joint_names) if name.startswith(JOINTS)], dtype=np.int32)
+def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
+    """The joints (j,) int32 that a sway network looks at: those that move the bones which `free` garment nodes (m,)
+    follow, and whole legs where it hangs below the knees. Raises ValueError where none of them moves."""
+    rig = model.rig
+    followed = set(model.node_bone[free].tolist())
+    if hangs_below_knees(rig, model.node_bone[free]):
+        followed |= set(np.flatnonzero(rig.inherited(dict.fromkeys(thighs(rig), 1), 0)).tolist())
+    moving = followed.union(*(rig.ancestors(bone) for bone in followed))
+    joints = np.flatnonzero(np.isin(rig.dof_bones, list(moving))).astype(np.int32)
     if not len(joints):
-        raise ValueError(f"the rig has no joint whose name begins with {', '.join(JOINTS)}: sway cannot be learnt")
+        raise ValueError("no joint moves the garment nodes that are to sway: sway cannot be learnt")
     return joints
 
 
