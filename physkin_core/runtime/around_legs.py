@@ -1,4 +1,4 @@
-"""How cloth lies about the legs: whether it goes round both in one, as a skirt does, and whether it hangs below knees.
+"""How cloth lies about the legs: whether it goes round both in one, as a skirt does, and whether it reaches the knees.
 
 Dimensions: `m` garment nodes. Metres, canonical pose.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 
-__all__ = ["goes_round_both_legs", "hangs_below_knees", "thighs"]
+__all__ = ["goes_round_both_legs", "reaches_knees", "thighs"]
 
 LOOKED_AT = 0.75
 """Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
@@ -21,7 +21,7 @@ def thighs(rig: Rig) -> list[int]:
     return [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
 
 
-def hangs_below_knees(rig: Rig, node_bone: np.ndarray) -> bool:
+def reaches_knees(rig: Rig, node_bone: np.ndarray) -> bool:
     """Whether a garment node follows a lower leg: node_bone (m,), the bone of `rig` that each follows."""
     return any(rig.bone_names[bone].startswith("lowerleg") for bone in set(node_bone.tolist()))
 

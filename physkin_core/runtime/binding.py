@@ -25,7 +25,7 @@ from physkin_core.model.skinning import unit
 from physkin_core.model.sway_network import fold_body
 from physkin_core.native_module import as_float32
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
-from physkin_core.runtime.around_legs import goes_round_both_legs, hangs_below_knees, thighs
+from physkin_core.runtime.around_legs import goes_round_both_legs, reaches_knees, thighs
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put_on_body
@@ -106,8 +106,8 @@ def bind_garment(
 
 
 def _holding_sway_back(model: GarmentModel) -> list[int]:
-    """The thighs on which cloth that hangs below the knees lies where they are raised; a shirt sways on."""
-    return thighs(model.rig) if model.sway is not None and hangs_below_knees(model.rig, model.node_bone) else []
+    """The thighs on which cloth that reaches the knees lies where they are raised; a shirt sways on."""
+    return thighs(model.rig) if model.sway is not None and reaches_knees(model.rig, model.node_bone) else []
 
 
 def _of_body(model: GarmentModel, seen: Avatar, fit: float) -> dict[str, Any]:

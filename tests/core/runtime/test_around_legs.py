@@ -6,7 +6,7 @@ from random_models import random_rig
 
 import physkin_core as physkin
 from physkin_core.model.garment import Garment
-from physkin_core.runtime.around_legs import goes_round_both_legs, hangs_below_knees
+from physkin_core.runtime.around_legs import goes_round_both_legs, reaches_knees
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,8 @@ def test_of_shipped_garments(name, does):
 
 
 @pytest.mark.parametrize(
-    ("shipped", "hangs"), [("tshirt", False), ("shorts", False), ("trousers", True), ("dress", True)]
+    ("shipped", "reaches"), [("tshirt", False), ("shorts", True), ("trousers", True), ("dress", True)]
 )
-def test_what_hangs_below_the_knees(shipped, hangs):
+def test_what_reaches_the_knees(shipped, reaches):
     model = physkin.load_garment_model(shipped)
-    assert hangs_below_knees(model.rig, model.node_bone) == hangs
+    assert reaches_knees(model.rig, model.node_bone) == reaches

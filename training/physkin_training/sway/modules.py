@@ -15,7 +15,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import drive_size, pose_size
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.around_legs import hangs_below_knees, thighs
+from physkin_core.runtime.around_legs import reaches_knees, thighs
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 
@@ -39,10 +39,10 @@ LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 
 def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
     """The joints (j,) int32 that a sway network looks at: those that move the bones which `free` garment nodes (m,)
-    follow, and whole legs where it hangs below the knees. Raises ValueError where none of them moves."""
+    follow, and whole legs where cloth reaches the knees. Raises ValueError where none of them moves."""
     rig = model.rig
     followed = set(model.node_bone[free].tolist())
-    if hangs_below_knees(rig, model.node_bone[free]):
+    if reaches_knees(rig, model.node_bone[free]):
         followed |= set(np.flatnonzero(rig.inherited(dict.fromkeys(thighs(rig), 1), 0)).tolist())
     moving = followed.union(*(rig.ancestors(bone) for bone in followed))
     joints = np.flatnonzero(np.isin(rig.dof_bones, list(moving))).astype(np.int32)
