@@ -9,6 +9,7 @@ from physkin_core import load_garment_model
 from physkin_core.model.model_file import shipped_models
 
 ROOT = Path(__file__).parents[3]
+PAGE, NOTEBOOK = ROOT / "docs" / "shipped-garments.md", ROOT / "docs" / "notebook" / "shipped-garments.md"
 STRAIN = "{edge_strain_percent:.2f} / {area_strain_percent:.2f}"
 SKIN = "{skin_shows_percent:.2f} ({skin_in_sight_percent:.2f})"
 EVERYDAY = ("{inside_percent:.3f}", "{inside_worn_percent:.3f}", "{max_depth_p999_mm:.0f}", SKIN, "{bend_j:.4f}")
@@ -27,24 +28,37 @@ def strains(scores):
     return [STRAIN.format(**rows) for rows in (scores["made_to_measure"]["model"], scores["model"], scores["skinning"])]
 
 
-@pytest.mark.parametrize(("number", "formats"), [(1, EVERYDAY), (2, UNIFORM)], ids=["everyday", "uniform"])
-def test_tables_of_shipped_garments(number, formats):
-    """Every cell of every garment."""
+def names_described():
+    """Of the shipped garments, each in backquotes."""
+    return [name for name, *_ in tables(PAGE)[0]]
+
+
+@pytest.mark.parametrize(("everyday", "formats"), [(True, EVERYDAY), (False, UNIFORM)], ids=["everyday", "uniform"])
+def test_tables_of_shipped_garments(everyday, formats):
+    """Every cell of every garment in the notebook."""
     wanted = []
-    for name, *_ in tables(ROOT / "docs" / "shipped-garments.md")[0]:
+    for name in names_described():
         scores = load_garment_model(name.strip("`")).scores
-        if number == 1:
+        if everyday:
             of_motion = {"made_to_measure": scores["made_to_measure"]["motion"]}
             scores = scores["motion"] | of_motion
         measured = scores["made_to_measure"]
-        jitter = [f"{measured['jitter_ratio']:.2f}"] if number == 1 else []
+        jitter = [f"{measured['jitter_ratio']:.2f}"] if everyday else []
         wanted.append([name, *strains(scores), *(text.format(**measured["model"]) for text in formats), *jitter])
-    assert tables(ROOT / "docs" / "shipped-garments.md")[number] == wanted
+    assert tables(NOTEBOOK)[0 if everyday else 1] == wanted
+
+
+def test_table_of_the_page():
+    """Columns of the notebook's table of everyday motion, of the skin only what is in sight."""
+    wanted = []
+    for name, *strain, _, inside_worn, _, skin, _, jitter in tables(NOTEBOOK)[0]:
+        wanted.append([name, *strain, inside_worn, re.search(r"\((.+)\)", skin)[1], jitter])
+    assert tables(PAGE)[1] == wanted
 
 
 def test_every_shipped_garment_is_described():
     """With its number of vertices."""
-    rows = tables(ROOT / "docs" / "shipped-garments.md")[0]
+    rows = tables(PAGE)[0]
     described = {name.strip("`"): vertices for name, *_, vertices in rows}
     assert described == {name: f"{len(load_garment_model(name).garment.vertices):,}" for name in shipped_models()}
 
