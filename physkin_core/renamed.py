@@ -5,8 +5,9 @@ The tables are emptied at the next release.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from typing import Any, TypeVar
 
 __all__ = ["PARAMETERS", "attribute_error", "check_options", "refuse_old_names"]
 
@@ -21,6 +22,7 @@ OPTIONS = {
 """Subcommand -> its options."""
 
 PARAMETERS = {
+    "hide": "hide_covered",
     "load_memory": "load_memory_limit",
     "load_seconds": "load_timeout",
     "marker": "publish_marker",
@@ -45,6 +47,9 @@ ATTRIBUTES = {
 }
 """Of a module or class."""
 
+ARGUMENTS = {"Outfit": {"hide": "hide_covered"}}
+"""Of making an object of a class."""
+
 
 def check_options(arguments: Sequence[str]) -> None:
     """Raises ValueError for an old option. arguments: of `physkin`, the subcommand first."""
@@ -55,10 +60,25 @@ def check_options(arguments: Sequence[str]) -> None:
 
 
 def refuse_old_names(owner: Owner) -> Owner:
-    """Decorator of a class that `ATTRIBUTES` names: its old attributes raise AttributeError."""
+    """Decorator of a class of the tables: its old attributes raise AttributeError, its old arguments TypeError."""
     for old in ATTRIBUTES[owner.__name__]:
         setattr(owner, old, _Renamed(old))
+    if renamed := ARGUMENTS.get(owner.__name__):
+        owner.__init__ = _refusing(owner, renamed)  # type: ignore[misc]
     return owner
+
+
+def _refusing(owner: type, renamed: Mapping[str, str]) -> Callable[..., None]:
+    """Its constructor, refusing old arguments. renamed: old -> new."""
+    construct: Callable[..., None] = owner.__init__  # type: ignore[misc]
+
+    @wraps(construct)
+    def init(self: object, *arguments: Any, **options: Any) -> None:
+        for old in options.keys() & renamed.keys():
+            raise TypeError(f"the argument {old} of {owner.__name__} is now called {renamed[old]}")
+        construct(self, *arguments, **options)
+
+    return init
 
 
 def attribute_error(owner: str, name: str) -> AttributeError:

@@ -50,9 +50,9 @@ class DrapedClip:
 def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
     """Drape all frames of a motion, and the rest pose, in which a file lies that nothing moves.
 
-    outfit: of models `for_engines`, those with detail as they are, and whole (`hide=False`): what is covered in all
-    frames is left out here. Detail moves every vertex besides skinning, so that what the few influences of engines lose
-    is made up for by the way.
+    outfit: of models `for_engines`, those with detail as they are, and whole (`hide_covered=False`): what is covered
+    in all frames is left out here. Detail moves every vertex besides skinning, so that what the few
+    influences of engines lose is made up for by the way.
     """
     layers, rig = outfit.layers, outfit.rig
     skinned = [_for_engines(layer) for layer in layers]

@@ -74,13 +74,13 @@ class Loading:
         body = Path(request.body)
         with _unchanged(_files_of(body, request.rig_file)) as body_digest:
             with_fabric = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
-            key = _digest(repr((body_digest, with_fabric, request.hide, request.own_clothes)).encode())
+            key = _digest(repr((body_digest, with_fabric, request.hide_covered, request.own_clothes)).encode())
             bound = self._kept.get(key)
             if cached := bound is not None:
                 bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name
             else:
                 avatar = self._avatar(body, request.rig_file, body_digest, models[0][0])
-                bound = bind_outfit(worn, avatar, hide=request.hide, own_clothes=request.own_clothes)
+                bound = bind_outfit(worn, avatar, hide_covered=request.hide_covered, own_clothes=request.own_clothes)
                 bound = bound.without_networks()
         if not cached:
             self._keep(key, bound)

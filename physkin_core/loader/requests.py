@@ -42,15 +42,15 @@ class GarmentRequest:
 
 @dataclass(frozen=True)
 class OutfitRequest:
-    """garments: from the skin outwards, to be put on the body of a file; rig_file: empty for none. hide, own_clothes:
-    as of `Outfit`. limbs: fit a collision shape, too. points: file of splats on one of the garments, empty for none.
-    colours: of the body's own materials, too. known: keys of outfits that need not be sent again.
+    """garments: from the skin outwards, to be put on the body of a file; rig_file: empty for none. hide_covered,
+    own_clothes: as of `Outfit`. limbs: fit a collision shape, too. points: file of splats on one of the garments, empty
+    for none. colours: of the body's own materials, too. known: keys of outfits that need not be sent again.
     """
 
     garments: tuple[GarmentRequest, ...]
     body: str
     rig_file: str = ""
-    hide: bool = True
+    hide_covered: bool = True
     own_clothes: OwnClothes = "replace"
     limbs: bool = False
     points: str = ""

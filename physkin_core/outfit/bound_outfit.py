@@ -57,7 +57,7 @@ def bind_outfit(
     avatar: Avatar,
     *,
     fit: float | None = None,
-    hide: bool = True,
+    hide_covered: bool = True,
     own_clothes: OwnClothes = "replace",
 ) -> BoundOutfit:
     """Put garments on an avatar. Arguments and ValueErrors: as of `Outfit`."""
@@ -77,7 +77,7 @@ def bind_outfit(
             layers = [replace(layer, hidden=mask) for layer, mask in zip(layers, always.cloth)]
         else:
             worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
-        layers = [_giving_visible(layer) for layer in layers] if hide else layers
+        layers = [_giving_visible(layer) for layer in layers] if hide_covered else layers
         orders = _orders(layers, cloth, tucks)
         moved = {order.yielding for order in orders}
         layers = [replace(layer, moved=k in moved) for k, layer in enumerate(layers)]

@@ -56,7 +56,8 @@ class Outfit:
         normals: "skinned": rest normals are carried along with their vertices; "faces": they are computed from the
             draped mesh, which is truer where cloth ripples or slides, and takes about 2 ns a vertex. A garment with
             detail always has the latter.
-        hide: leave out what cannot be seen in everyday poses; `Layer.visible` says which vertices are left. False: all.
+        hide_covered: leave out of the clouds what outer garments cover in everyday poses; `Layer.visible` lists the
+            vertices that remain. False: clouds have all vertices.
         own_clothes: what pictures show of clothes that the avatar wears already. "replace": all but those that the
             garments replace; "hide": none; "keep": all that is not under a garment. Drapes are the same.
 
@@ -86,13 +87,14 @@ class Outfit:
         precision: Precision | None = None,
         fit: float | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
-        hide: bool = True,
+        hide_covered: bool = True,
         own_clothes: OwnClothes = "replace",
     ) -> None:
-        bound = bind_outfit(_checked_garments(garments, avatar), avatar, fit=fit, hide=hide, own_clothes=own_clothes)
+        worn = _checked_garments(garments, avatar)
+        bound = bind_outfit(worn, avatar, fit=fit, hide_covered=hide_covered, own_clothes=own_clothes)
         self._wear(bound, precision, normals)
         for warning in bound.worth_saying:
-            warnings.warn(warning, AvatarWarning, stacklevel=2)
+            warnings.warn(warning, AvatarWarning, stacklevel=3)  # one frame is of refuse_old_names
 
     @classmethod
     def from_bound(

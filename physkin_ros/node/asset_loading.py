@@ -101,12 +101,18 @@ class OutfitLoader:
         self._loader = AssetLoader(seconds=seconds, memory=memory)
 
     def load(
-        self, garments: Sequence[GarmentSettings], body_mesh: str, body_rig: str, *, hide: bool, limbs: bool = False
+        self,
+        garments: Sequence[GarmentSettings],
+        body_mesh: str,
+        body_rig: str,
+        *,
+        hide_covered: bool,
+        limbs: bool = False,
     ) -> list[LoadedLayer]:
         """Put garments on a body over each other, the innermost first, precision and normals being those of the first.
 
-        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide: leave out what is covered. limbs: look
-        at the body's limbs, too. Raises ValueError naming what is wrong, or what cannot be worn so.
+        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide_covered: as of `Outfit`. limbs: look at
+        the body's limbs, too. Raises ValueError naming what is wrong, or what cannot be worn so.
         """
         started, first = perf_counter(), garments[0]
         several = len(garments) > 1
@@ -114,7 +120,7 @@ class OutfitLoader:
             tuple(GarmentRequest(each.model, each.tucked and several, each.fit) for each in garments),
             body_mesh or str(BUNDLED_AVATAR),
             body_rig,
-            hide=hide,
+            hide_covered=hide_covered,
             limbs=limbs,
             points="" if several else first.splats,
         )

@@ -140,7 +140,7 @@ class AvatarStream:
         for index, model in (models or {}).items():
             garments[index] = replace(garments[index], model=model)
         together = [garments] if self.settings.outfit else [[garment] for garment in garments]
-        how = {"hide": self.settings.hide, "limbs": self.settings.separate_limbs}
+        how = {"hide_covered": self.settings.hide_covered, "limbs": self.settings.separate_limbs}
         loaded = [layer for outfit in together for layer in self._loader.load(outfit, mesh, rig_file, **how)]
         now = self._worn_now(loaded)
         if self._closed or not wanted():  # the body went meanwhile

@@ -225,9 +225,9 @@ class AvatarSettings:
     layers: tuple[str, ...] = _key(
         [""], "names of the garments from the skin outwards. Empty: the order they are given in"
     )
-    hide: bool = _key(
+    hide_covered: bool = _key(
         True,
-        "leave out of the clouds what the outer layers of an outfit cover in everyday poses; false: give all vertices",
+        "leave out of the clouds what outer garments cover in everyday poses; false: clouds have all vertices",
     )
     discover: str = _key(
         "",

@@ -1,11 +1,13 @@
 """Names of the last release are refused by a sentence that gives the new one."""
 
+from inspect import signature
+
 import pytest
 
 import physkin_core
 from physkin_core import BoneRotations, FrameInput, Garment, Layer, Outfit
 from physkin_core.cli import main
-from physkin_core.renamed import ATTRIBUTES, OPTIONS, PARAMETERS
+from physkin_core.renamed import ARGUMENTS, ATTRIBUTES, OPTIONS, PARAMETERS
 from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError
 from physkin_ros.node.settings_reading import check_names
 
@@ -38,6 +40,15 @@ def test_an_old_attribute_is_refused_by_naming_the_new_one(owner, old):
     assert hasattr(OWNERS[owner], new) or new in getattr(OWNERS[owner], "__dataclass_fields__", ())
     with pytest.raises(AttributeError, match=f"{owner}.{old} is now called {new}"):
         getattr(OWNERS[owner], old)
+
+
+@pytest.mark.parametrize(("owner", "old"), [(owner, old) for owner in ARGUMENTS for old in ARGUMENTS[owner]])
+def test_an_old_argument_is_refused_by_naming_the_new_one(owner, old):
+    """Of making an object; the new one exists."""
+    new = ARGUMENTS[owner][old]
+    assert new in signature(OWNERS[owner]).parameters
+    with pytest.raises(TypeError, match=f"{old} of {owner} is now called {new}"):
+        OWNERS[owner]([], None, **{old: False})
 
 
 def test_a_name_that_never_was_is_missing_as_usual():

@@ -60,7 +60,7 @@ def test_cloth_in_the_browser_is_the_native_one(browser, monkeypatch):
     """0.1 mm from it at most."""
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
     models = [load_garment_model(name) for name in GARMENTS]
-    outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), hide=False)
+    outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), hide_covered=False)
     pose = {"lowerarm01.L_z": -1.0, "upperleg01.R_y": -0.6}
     found = browser.value(
         "import('./physkin.js').then(({loadOutfit}) => loadOutfit('outfit.physkin.gz')).then((outfit) => {"

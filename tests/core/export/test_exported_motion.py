@@ -59,7 +59,7 @@ def export(path, *files, options=()):
 @pytest.fixture(scope="module")
 def whole(worn):
     """The outfit that a .glb is made of."""
-    return Outfit([model.for_engines() for model in worn], load_avatar(BUNDLED_AVATAR, worn[0].rig), hide=False)
+    return Outfit([model.for_engines() for model in worn], load_avatar(BUNDLED_AVATAR, worn[0].rig), hide_covered=False)
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ def test_detail_is_in_morph_targets(tmp_path, folded, motion, monkeypatch, capsy
     """The file is the drape of the model's own influences, to the millimetres that are told, which are more without
     targets; normals turn along, closer to those of the folds than skinning carries them."""
     model, path = folded
-    outfit = Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig), hide=False)
+    outfit = Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig), hide_covered=False)
 
     def exported(output):
         assert main(["export", "walk", "-g", path, "--rate", f"{RATE:g}", "-o", str(output)]) == 0

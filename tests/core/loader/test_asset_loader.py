@@ -153,7 +153,7 @@ def test_outfits_are_known_by_content(asset_loader, tmp_path, model_path):
         np.testing.assert_array_equal(each.drape(rest), first.drape(rest))
     body.write_bytes(BUNDLED_AVATAR.read_bytes() + b"\0" * 4)
     assert not asset_loader.outfit(wanted[0])[1].cached
-    for others in ({"hide": False}, {"garments": (GarmentRequest(str(model_path), fit=0.0),)}):
+    for others in ({"hide_covered": False}, {"garments": (GarmentRequest(str(model_path), fit=0.0),)}):
         assert not asset_loader.outfit(dataclasses.replace(wanted[2], **others))[1].cached
 
 

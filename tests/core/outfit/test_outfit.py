@@ -93,7 +93,7 @@ def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):
 
 
 def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
-    whole = Outfit([models["trousers"], models["tshirt"]], avatar, hide=False)
+    whole = Outfit([models["trousers"], models["tshirt"]], avatar, hide_covered=False)
     for layer, same in zip(whole.layers, over_trousers.layers):
         assert layer.vertex_count == len(layer.model.garment.vertices)
         np.testing.assert_array_equal(layer.hidden, same.hidden)

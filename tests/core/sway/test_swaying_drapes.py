@@ -98,7 +98,7 @@ def test_a_root_comes_with_a_time_and_without_gravity(skirt, given):
 
 
 def test_an_outfit_swings_as_its_garments_do(skirt):
-    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide_covered=False)
     walk = physkin.load_motion("walk")
     outfit.reset(), skirt.reset()
     for k, (q, root) in enumerate(zip(walk.positions_for(skirt.model.rig)[:40], roots(walk))):
@@ -132,7 +132,7 @@ def test_garments_of_an_outfit_sway_as_much_as_each_is_told(skirt):
 
 
 def test_outfits_refuse_other_sways(skirt):
-    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide_covered=False)
     for wrong in (1.5, (0.5, -0.1), "all", (0.5, 0.5), np.array(0.5), [[0.5]], None):
         with pytest.raises(ValueError, match="a number from 0 to 1|one for each of 1"):
             outfit.sway = wrong
@@ -140,7 +140,7 @@ def test_outfits_refuse_other_sways(skirt):
 
 
 def test_outfits_take_numbers_of_numpy_and_twins_keep_them(skirt):
-    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide_covered=False)
     for given in (np.float32(0.5), np.array([0.5], dtype=np.float32), [np.float64(0.5)]):
         outfit.sway = given
         assert outfit.sway == outfit.twin().sway == 0.5

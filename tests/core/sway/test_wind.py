@@ -146,6 +146,6 @@ def test_a_sudden_gust_does_not_let_cloth_leap(skirt):
 
 
 def test_wind_stays_with_a_twin(skirt):
-    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide=False)
+    outfit = physkin.Outfit([skirt.model], skirt.avatar, hide_covered=False)
     outfit.wind = WIND
     assert outfit.twin().wind == outfit.wind == tuple(WIND)

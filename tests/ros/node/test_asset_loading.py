@@ -13,10 +13,10 @@ from physkin_ros.node import asset_loading
 from physkin_ros.node.asset_loading import AssetError, AssetRoots
 
 
-def load(loader, garments, body="", *, hide=True):
+def load(loader, garments, body="", *, hide_covered=True):
     """What a loader makes of models or garments' settings."""
     garments = [garment_settings(model=each) if isinstance(each, str) else each for each in garments]
-    return loader.load(garments, str(body), "", hide=hide)
+    return loader.load(garments, str(body), "", hide_covered=hide_covered)
 
 
 def test_only_below_the_roots(tmp_path):
@@ -94,8 +94,8 @@ def test_outfits_are_kept_and_shared_by_twins(outfit_loader):
     assert first[0].outfit is first[1].outfit is not again[0].outfit
     assert again[1].layer is first[1].layer
     assert [each.layer.name for each in first] == ["trousers", "tshirt"] and [each.index for each in first] == [0, 1]
-    for others, hide in ((["trousers", shirt], False), ([replace(shirt, tucked=True), "trousers"], True)):
-        (other, *_) = load(outfit_loader, others, hide=hide)
+    for others, hide_covered in ((["trousers", shirt], False), ([replace(shirt, tucked=True), "trousers"], True)):
+        (other, *_) = load(outfit_loader, others, hide_covered=hide_covered)
         assert other.layer is not first[other.layer.name == "tshirt"].layer
     with pytest.raises(ValueError, match="'trousers' is there 2 times"):
         load(outfit_loader, ["trousers", "trousers"])

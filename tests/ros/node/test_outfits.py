@@ -50,7 +50,7 @@ def site(start_site, other_body):
         "avatars": {
             "ann": {"garments": {"zlegs": {"model": "trousers"} | SHARED, "atop": {"model": "tshirt"} | SHARED}},
             "bea": {
-                "hide": False,
+                "hide_covered": False,
                 "separate_limbs": True,
                 "layers": ["top", "legs"],
                 "garments": {
@@ -120,7 +120,7 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
 def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
     """In the order of `layers`, with the positions separated once."""
     garments = [WornGarment(models["tshirt"], tucked=True), models["trousers"]]
-    outfit = Outfit(garments, avatar, precision="fp32", hide=False)
+    outfit = Outfit(garments, avatar, precision="fp32", hide_covered=False)
     separator = LimbSeparator(models["tshirt"].rig, avatar)
     names, rig = motion[0], models["tshirt"].rig
     folded = rig.joint_positions({"upperarm01.L_x": -0.9, "upperarm01.R_x": 0.9}).astype(np.float32)

@@ -65,7 +65,7 @@ drape_node: {ros__parameters: {avatars: {
 """
     ann, bob = load_config(write(tmp_path, text)).avatars
     assert [(each.name, each.tucked) for each in ann.garments] == [("z", True), ("a", False)]
-    assert (ann.outfit, ann.hide) == (True, True) and not bob.outfit
+    assert (ann.outfit, ann.hide_covered) == (True, True) and not bob.outfit
     assert [each.name for each in bob.garments] == ["b", "c", "a"]
     (avatar,) = load_config(
         write(tmp_path, "drape_node: {ros__parameters: {model: 'trousers, a/my-vest.safetensors,b/my_vest', fit: 0}}")

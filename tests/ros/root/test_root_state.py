@@ -186,7 +186,7 @@ def test_an_outfit_swings_as_one_told_time_and_root():
     inner = random_model(rng, garment=tube(radius=0.1), learnt_sway=True)
     outer = random_model(rng, rig=inner.rig, garment=tube(radius=0.4))
     models = [replace(model, name=f"radius {k}") for k, model in enumerate((inner, outer))]
-    told = Outfit(models, random_avatar(rng, inner.rig), precision="fp32", hide=False)
+    told = Outfit(models, random_avatar(rng, inner.rig), precision="fp32", hide_covered=False)
     worn, motion = told.twin(), RootMotion()
     state, told.sway = state_of(worn), amounts
     state.frame_input.sway, drape = amounts, bound(state, worn)

@@ -1,8 +1,8 @@
 """Quality figures of outfits on held-out bodies in motion: what pokes through, shows, and what order costs the cloth.
 
 Short runs of neighbouring frames are spread over each clip. Strain, pokes and pictures are of a run's last frame,
-jitter of all. Whole garments (`hide=False`) say what pokes through and which skin shows; what an outfit gives by
-default says what holes that leaves, how much its cloth is strained and how it jitters.
+jitter of all. Whole garments (`hide_covered=False`) say what pokes through and which skin shows; what an outfit
+gives by default says what holes that leaves, how much its cloth is strained and how it jitters.
 
 Dimensions: `n` vertices of a garment, `d` degrees of freedom, `T` frames of a run. Metres, root frame.
 """
@@ -106,7 +106,7 @@ class DressedBody:
     def __init__(self, garments: Sequence[WornGarment], avatar: Avatar) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AvatarWarning)
-            self.whole, self.given = (Outfit(garments, avatar, hide=hide) for hide in (False, True))
+            self.whole, self.given = (Outfit(garments, avatar, hide_covered=hide) for hide in (False, True))
             self.alone = [Draper(garment.model, avatar) for garment in garments]
         rest = [cloud[:, :3].astype(np.float64) for cloud in self.whole.drape(self.whole.rig.rest)]
         self.pokes: dict[tuple[int, int], LayerPokes] = {
