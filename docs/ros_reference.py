@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
+from textwrap import fill
 
 from import_graph import ROOT
 from physkin_ros.messages.topics import TOPICS
@@ -20,9 +21,8 @@ REFERENCE = ROOT / "docs" / "ros-reference.md"
 INTERFACES = ROOT / "msg_defs"
 HEAD = """# ROS reference
 
-Every parameter, topic, message and service of the node, to look up. [The ROS node](node.md) explains how they work
-together, and `physkin node --help` prints parameters and topics. This page is made from the code by
-`python docs/ros_reference.py`.
+Every parameter, topic, message and service of the node. [The ROS node](node.md) explains how they work together.
+`physkin node --help` prints parameters and topics. `python docs/ros_reference.py` makes this page from the code.
 
 ## Parameters
 
@@ -30,14 +30,23 @@ together, and `physkin node --help` prints parameters and topics. This page is m
 physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=0.5
 ```
 
-Parameters marked \\* may change while the node runs; all others are fixed once it is configured. Where no unit is
-given, lengths are in metres, angles in radians and times in seconds.
+Parameters marked \\* may change while the node runs. All others are fixed once it is configured. Without a unit,
+lengths are in metres, angles in radians and times in seconds.
 """
 TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
 PARTS = (
     ("Of the node", "", NodeSettings),
-    ("Of each avatar", "For a single avatar `KEY`, for several `avatars.ID.KEY`.", AvatarSettings),
-    ("Of each garment", "For a single garment `KEY`, otherwise `avatars.ID.garments.NAME.KEY`.", GarmentSettings),
+    (
+        "Of each avatar",
+        "A single avatar has the parameter `KEY`, several have `avatars.ID.KEY`. The default topics then [contain the "
+        "ID](#topics-and-services), too.",
+        AvatarSettings,
+    ),
+    (
+        "Of each garment",
+        "A single avatar has the parameter `KEY`, several have `avatars.ID.garments.NAME.KEY`.",
+        GarmentSettings,
+    ),
 )
 
 
@@ -50,7 +59,7 @@ def _parameters() -> Iterator[str]:
     for title, where, kind in PARTS:
         yield f"### {title}\n"
         if where:
-            yield f"{where}\n"
+            yield f"{fill(where, 120)}\n"
         yield "| parameter | type | default | |\n|---|---|---|---|"
         for field in fields(kind):
             if field.metadata:
@@ -76,16 +85,19 @@ def _default(value: object) -> str:
 
 def _range(setting: Setting) -> str:
     if setting.choices:
-        return ", ".join(f"`{choice}`" if choice else "empty" for choice in setting.choices)
+        described = all(re.search(rf"\b{choice or 'Empty'}\b", setting.description) for choice in setting.choices)
+        return "" if described else ", ".join(f"`{choice}`" if choice else "empty" for choice in setting.choices)
     return f"{setting.low:.9g} to {setting.high:.9g}" if abs(setting.low) < float("inf") else ""
 
 
 def _topics() -> Iterator[str]:
     yield "## Topics and services\n"
-    yield (
-        "With several avatars, names without `~` are below the avatar's `ID`, and a garment's topics are below "
-        "`~/ID/NAME`. Types of `physkin_msgs` need that package; everything else works without it.\n"
+    note = (
+        "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
+        "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. Types of `physkin_msgs` need that "
+        "package; all others work without it."
     )
+    yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"
     for topic in TOPICS:
         package, kind = topic.type.split("/")
@@ -99,7 +111,7 @@ def _interfaces() -> Iterator[str]:
     yield "## Messages and services of `physkin_msgs`\n"
     for path in sorted([*INTERFACES.glob("msg/*.msg"), *INTERFACES.glob("srv/*.srv")]):
         head, parts = _read(path)
-        yield f"### {path.stem}\n\n{head}\n"
+        yield f"### {path.stem}\n\n{fill(head, 120)}\n"
         for title, rows in parts.items():
             yield f"| {title} | type | |\n|---|---|---|"
             yield from (f"| `{name}` | `{kind}` | {_cell(text)} |" for name, kind, text in rows)

@@ -51,24 +51,23 @@ GARMENT = Topic(
     "~/garment",
     "out",
     "sensor_msgs/PointCloud2",
-    "cloth: x, y, z [m] and normal_x, normal_y, normal_z of each vertex, float32, always finite, in the body's root "
+    "cloth: x, y, z [m] and normal_x, normal_y, normal_z of each vertex, float32, always finite. In the body's root "
     "frame, with the stamp of the joint state",
 )
 SPLATS = Topic(
     "~/splats",
     "out",
     "sensor_msgs/PointCloud2",
-    "the Gaussian splats of the parameter splats, draped, 28 bytes each, while somebody reads them: x, y, z [m], "
-    "float32; "
-    "rot_x, rot_y, rot_z, rot_w, a unit quaternion, int16 in units of 1/32767; scale_0, scale_1, scale_2, natural "
-    "logarithms of standard deviations [m], int16 in units of 1/1000",
+    "draped Gaussian splats, 28 bytes each, while somebody reads them. x, y, z: float32 [m]. rot_x, rot_y, rot_z, "
+    "rot_w: a unit quaternion, int16 in units of 1/32767. scale_0, scale_1, scale_2: natural logarithms of standard "
+    "deviations [m], int16 in units of 1/1000",
     needs="splats",
 )
 SPLAT_ATTRIBUTES = Topic(
     "~/splat_attributes",
     "out",
     "sensor_msgs/PointCloud2",
-    "everything else in the file about each splat, under its own names (opacity, f_dc_0, ...); sent once, latched",
+    "everything else that the file says about each splat, under its own names (opacity, f_dc_0, ...). Latched",
     needs="splats",
 )
 MARKER = Topic(
@@ -78,8 +77,8 @@ MESH = Topic(
     "~/mesh",
     "out",
     "physkin_msgs/GarmentMesh",
-    "what stays the same from frame to frame: triangles, rest vertices, skinning weights; latched, and sent again when "
-    "any of it changes",
+    "what stays the same from frame to frame: triangles, rest vertices, skinning weights. Latched, and sent again "
+    "when it changes",
 )
 GARMENT_NODES = Topic(
     "~/garment_nodes",
@@ -91,40 +90,40 @@ JOINT_STATES = Topic(
     "joint_states",
     "in",
     "sensor_msgs/JointState",
-    "pose of the body: joints by name in any order, all or some [rad]",
+    "pose of the body: all or some joints by name, in any order [rad]",
 )
 BONE_ROTATIONS = Topic(
     "bone_rotations",
     "in",
     "sensor_msgs/MultiDOFJointState",
-    "pose of the body as rotations of bones, in place of joint states",
+    "pose of the body as rotations of bones, instead of joint states",
 )
 EFFECTIVE_GRAVITY = Topic(
     "~/effective_gravity",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "gravity minus the acceleration of the root [m/s2], in the body's root frame: zero in free fall, its length "
-    "at most 29.4. Each message replaces gravity for 0.5 s",
+    "effective gravity: gravity minus the acceleration of the root, in the body's root frame, at most 29.4 m/s2; zero "
+    "in free fall. Each message replaces gravity for 0.5 s",
 )
 WIND = Topic(
     "~/wind",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "velocity of the air around all avatars, at most 13 m/s, in the fixed world frame (Z up), whatever frame its "
-    "header names. Replaces the parameter wind",
+    "velocity of the air around all avatars, at most 13 m/s, in the world (Z up), whatever frame its header names. "
+    "Replaces the parameter wind",
 )
 DRAPED_JOINT_STATES = Topic(
     "~/joint_states",
     "out",
     "sensor_msgs/JointState",
-    "the joint positions that were draped [rad], for drawing the body; with the stamp of the joint state",
+    "the joint positions that were draped [rad], for drawing the body, with the stamp of the joint state",
     needs="separate_limbs",
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "out",
     "diagnostic_msgs/DiagnosticArray",
-    "once a second, as text: rates, what was refused and why, times, how each garment sits",
+    "once a second, as text: rates, times, what was refused and why, how each garment sits",
 )
 STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second")
 SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "puts another body under the garments")
@@ -137,22 +136,22 @@ TOPICS = (
         "gravity",
         "in",
         "geometry_msgs/Vector3Stamped",
-        "direction of gravity in the body's root frame, of any length but zero. Send it before the joint state that it "
-        "belongs to",
+        "direction of gravity in the body's root frame, of any length but zero. Send it before the joint state that "
+        "it belongs to",
         needs="orientation: gravity",
     ),
     Topic(
         "pose",
         "in",
         "geometry_msgs/PoseStamped",
-        "where the body's root is, in a frame whose Z is up: gives gravity, and lets cloth sway",
+        "where the body's root is, in a frame whose Z is up. This gives gravity, and lets cloth sway",
         needs="orientation: pose",
     ),
     Topic(
         "odometry",
         "in",
         "nav_msgs/Odometry",
-        "the same as pose; its twist and covariance are not read",
+        "the same as pose. Twist and covariance are not read",
         needs="orientation: odometry",
     ),
     Topic("/tf", "in", "tf2_msgs/TFMessage", "the same as pose, from world_frame to frame_id", needs="orientation: tf"),
@@ -160,15 +159,15 @@ TOPICS = (
         "/tf_static",
         "in",
         "tf2_msgs/TFMessage",
-        "the transforms among these that never change",
+        "the transforms of /tf that never change",
         needs="orientation: tf",
     ),
     Topic(
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU whose axes are those of the root: its orientation gives gravity, and its linear acceleration (at rest "
-        "9.81 m/s2 up), smoothed, lets cloth lean. If it has no orientation, the acceleration gives both",
+        "an IMU with the axes of the root. Its orientation gives gravity. Its linear acceleration (at rest 9.81 m/s2 "
+        "upwards) is smoothed and lets cloth lean. Without an orientation, the acceleration gives both",
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,
@@ -179,7 +178,7 @@ TOPICS = (
         "/tf",
         "out",
         "tf2_msgs/TFMessage",
-        "frame_id, in the frame of its pose",
+        "the transform from the frame of the poses to frame_id",
         needs="publish_tf",
     ),
     SPLATS,

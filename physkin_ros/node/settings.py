@@ -74,38 +74,36 @@ class GarmentSettings:
     name: str
     model: str = _key(
         "tshirt",
-        "garment to wear: a shipped name or a .safetensors file, in another fabric and colour as in "
-        "skirt:denim:navy or skirt:bend=2e-5+density=0.18. Without avatars also several, joined by commas, from "
-        "the skin outwards",
+        "garment to wear: a shipped name or a .safetensors file, with fabric and colour as in skirt:denim:navy or "
+        "skirt:bend=2e-5+density=0.18. A single avatar can wear several, joined by commas, from the skin outwards",
         changes=True,
         may_be_empty=False,
     )
-    tucked: bool = _key(False, "tuck its hem into the waistband of the next garment outwards that is not tucked itself")
+    tucked: bool = _key(False, "tuck the hem into the next garment outwards that is not tucked itself")
     precision: str = _key(
         "",
-        "precision of the network weights: fp32, bf16 or int8, each faster and coarser than the one before. "
-        "Empty: int8",
+        "precision of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
         choices=("", *PRECISIONS),
     )
     fit: float | None = _key(
         None,
-        "1: made to measure for this body, 0: the garment's one size, or between. Above 0 only for models with "
-        "the body model's rig. Empty: 1 for those, 0 for others",
+        "1: made to measure for this body, 0: one size, or between. Empty: 1 if the model has the body model's "
+        "rig; others can only be worn in one size",
         low=0,
         high=1,
     )
     sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
     normals: str = _key(
         "skinned",
-        "skinned: normals are carried along with the cloth; faces: computed from the draped mesh, truer, for "
-        "about 2 ns a vertex",
+        "skinned: normals follow the garment nodes; faces: normals are computed from the draped mesh, which is "
+        "more exact and takes about 2 ns a vertex",
         choices=NORMALS,
     )
-    namespace: str = _key("", "where the garment's topics are. Empty: ~, with avatars ~/ID/NAME")
+    namespace: str = _key("", "where the garment's topics are. Empty: ~")
     splats: str = _key(
         "",
-        "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; ~/splats publishes "
-        "them draped. For a single garment, or with avatars and outfit false",
+        "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; they are published on "
+        "~/splats. For a single garment, or with avatars and outfit false",
     )
     publish_marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
 
@@ -122,11 +120,11 @@ class AvatarSettings:
     prefix: str
     id: str
     garments: tuple[GarmentSettings, ...]
-    joint_states: str = _key("", "topic of sensor_msgs/JointState. Empty: joint_states, with avatars ID/joint_states")
+    joint_states: str = _key("", "topic of sensor_msgs/JointState. Empty: joint_states")
     bone_rotations: str = _key(
         "",
-        "topic of sensor_msgs/MultiDOFJointState: rotations of bones in place of joint states. Empty: "
-        "bone_rotations, with avatars ID/bone_rotations",
+        "topic of sensor_msgs/MultiDOFJointState, with rotations of bones instead of joint states. Empty: "
+        "bone_rotations",
     )
     body_mesh: str = _key(
         "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. Empty: the bundled avatar", changes=True
@@ -138,8 +136,7 @@ class AvatarSettings:
     )
     joint_map: str = _key(
         "",
-        "names of incoming joints: ros4hri (REP-155), vrm (VRM humanoid bones), or a JSON file that maps them to "
-        "the rig's. Empty: they are the rig's own names",
+        "names of incoming joints: ros4hri (REP-155), vrm (VRM humanoid bones), or a JSON file. Empty: the rig's own",
     )
     missing_joints: str = _key(
         "last",
@@ -148,8 +145,8 @@ class AvatarSettings:
     )
     frame_id: str = _key(
         "",
-        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link, with avatars ID, with "
-        "discover body_ID",
+        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link; with avatars their ID, "
+        "with discover body_ID",
     )
     gravity: tuple[float, ...] = _key(
         UPRIGHT_GRAVITY.tolist(),
@@ -158,41 +155,39 @@ class AvatarSettings:
     )
     orientation: str = _key(
         "gravity",
-        "what says where down is. gravity: a topic of Vector3Stamped; joints: roll and pitch in the joint states; "
-        "fixed: the parameter gravity. The others also say how the root moves, so that cloth sways with it: pose "
+        "what says where down is. Only this: gravity (Vector3Stamped), joints (roll and pitch in the joint "
+        "states), fixed (the parameter gravity). Also how the root moves, so that cloth sways with it: pose "
         "(PoseStamped), odometry (Odometry), tf, imu (Imu)",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
         "",
-        "topic for orientation gravity, pose, odometry or imu. Empty: a topic of that name, with avatars "
-        "ID/gravity and so on",
+        "topic of the orientation source. Empty: its name, such as pose",
     )
     orientation_joints: tuple[str, ...] = _key(
-        ["root_roll", "root_pitch"], "names of roll and pitch [rad] in the joint states, for orientation joints"
+        ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation joints"
     )
     effective_gravity_topic: str = _key(
         "",
-        "topic of effective gravity: gravity minus the acceleration of the root [m/s2], in the root frame. Each "
-        "message replaces gravity for 0.5 s. Empty: ~/effective_gravity, with avatars ~/ID/effective_gravity",
+        "topic of effective gravity. Empty: ~/effective_gravity",
     )
     sway: float = _key(
         1.0,
-        "how much cloth lags, swings and settles as joints and the root move: 0 to 1. At 0 each joint state is draped "
-        "by itself",
+        "how much cloth lags, swings and settles. At 0 each joint state is draped by itself",
         changes=True,
         low=0,
         high=1,
     )
     wind: tuple[float, ...] = _key(
         [0.0, 0.0, 0.0],
-        "velocity of the air, at most 13 m/s, in the fixed world frame; if only gravity is known, in a level frame "
-        "that faces the same way as the body. A message on ~/wind replaces it",
+        "velocity of the air, at most 13 m/s, in the world. If only gravity is known: in a level frame that faces "
+        "the same way as the body. A message on ~/wind replaces it",
         changes=True,
     )
     imu_delay: float = _key(
         USUAL_DELAY,
-        "[s] time constant that smooths the acceleration of an IMU; cloth follows with this delay. 0: no smoothing",
+        "[s] time constant by which the acceleration of an IMU is smoothed; cloth follows that much later. 0: no "
+        "smoothing",
         low=0,
         high=5,
     )
@@ -203,27 +198,27 @@ class AvatarSettings:
     )
     publish_tf: bool = _key(
         False,
-        "publish each pose (orientation pose or odometry) as TF to frame_id. Only if nobody else does, as a frame "
+        "publish each pose or odometry message as TF, a transform to frame_id. Only if nobody else does, as a frame "
         "has one parent",
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] publish clouds at this rate, interpolated between joint states, which delays them by one joint state. "
-        "0: one cloud for each joint state",
+        "[Hz] rate of the clouds, interpolated between joint states and therefore one joint state late. 0: a "
+        "cloud for each joint state",
         low=0,
         high=1000,
     )
     separate_limbs: bool = _key(
         False,
-        "move arms and legs out of the trunk and of each other before draping; ~/joint_states (with avatars "
-        "~/ID/joint_states) then carries the positions that were draped",
+        "move arms and legs out of the trunk and of each other before draping; ~/joint_states publishes the "
+        "positions that were draped",
     )
     outfit: bool = _key(
         True,
-        "wear several garments over each other, from the skin outwards; false: drape each by itself",
+        "wear several garments over each other; false: drape each by itself",
     )
     layers: tuple[str, ...] = _key(
-        [""], "names of the garments from the skin outwards. Empty: the order they are given in"
+        [""], "names of the garments from the skin outwards. Empty: the order in which they are given"
     )
     hide_covered: bool = _key(
         True,
@@ -231,7 +226,7 @@ class AvatarSettings:
     )
     discover: str = _key(
         "",
-        "ros4hri: dress every body on /humans/bodies/ID/joint_states, as they come and go",
+        "ros4hri: dress every body on /humans/bodies/ID/joint_states, as they come and go. Empty: one body",
         choices=("", "ros4hri"),
     )
 
@@ -251,23 +246,23 @@ class NodeSettings:
     asset_roots: tuple[str, ...] = _key(
         [""],
         "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that "
-        "it started with. Shipped garments and the bundled avatar are always allowed",
+        "it started with. What ships is always allowed",
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
-        "[s] after which loading a body with its garments is given up; the avatar keeps what it wears",
+        "[s] how long loading a body or a garment may take; after that the avatar keeps what it wears",
         low=1,
         high=3600,
     )
     load_memory_limit: int = _key(
         LOAD_MEMORY_LIMIT,
-        "[MiB] of memory that loading may use on top of what its process starts with",
+        "[MiB] of memory that loading may use in addition to what its process starts with",
         low=64,
         high=1 << 20,
     )
     deadline: float = _key(
         0.0,
-        "[s] from the arrival of a joint state to its last cloud; what takes longer is counted. 0: none",
+        "[s] from the arrival of a joint state to its last cloud; joint states that take longer are counted. 0: none",
         changes=True,
         low=0,
         high=60,
@@ -276,7 +271,7 @@ class NodeSettings:
         8, "number of discovered bodies that are dressed at the same time; others wait", low=1, high=64
     )
     clear_shared_memory: bool = _key(
-        False, "at the start, delete what killed Fast DDS processes of this user have left in /dev/shm"
+        False, "when the node starts, delete what killed Fast DDS processes of this user left in /dev/shm"
     )
 
 
