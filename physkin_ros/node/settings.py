@@ -87,8 +87,8 @@ class GarmentSettings:
     )
     fit: float | None = _key(
         None,
-        "1: made to measure for this body, 0: one size, or between. Empty: 1 if the model has the body model's "
-        "rig; others can only be worn in one size",
+        "0 is one size, 1 is made to measure for this body. Empty: 1 if the model has the body model's rig; "
+        "others can only be worn in one size",
         low=0,
         high=1,
     )
@@ -155,9 +155,9 @@ class AvatarSettings:
     )
     orientation: str = _key(
         "gravity",
-        "what says where down is. Only this: gravity (Vector3Stamped), joints (roll and pitch in the joint "
-        "states), fixed (the parameter gravity). Also how the root moves, so that cloth sways with it: pose "
-        "(PoseStamped), odometry (Odometry), tf, imu (Imu)",
+        "source of gravity. gravity (Vector3Stamped), joints (roll and pitch in the joint states) and fixed (the "
+        "parameter gravity) tell only this. pose (PoseStamped), odometry (Odometry), tf and imu (Imu) also tell "
+        "how the root moves, so that cloth sways with it",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
@@ -198,13 +198,13 @@ class AvatarSettings:
     )
     publish_tf: bool = _key(
         False,
-        "publish each pose or odometry message as TF, a transform to frame_id. Only if nobody else does, as a frame "
-        "has one parent",
+        "publish TF to frame_id, from the messages of pose or odometry. Only if nobody else does, as a frame has "
+        "one parent",
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] rate of the clouds, interpolated between joint states and therefore one joint state late. 0: a "
-        "cloud for each joint state",
+        "[Hz] rate of the clouds. They are interpolated between joint states, so they come one joint state late. "
+        "0: a cloud for each joint state",
         low=0,
         high=1000,
     )
@@ -246,11 +246,11 @@ class NodeSettings:
     asset_roots: tuple[str, ...] = _key(
         [""],
         "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that "
-        "it started with. What ships is always allowed",
+        "it started with. Shipped files are always allowed",
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
-        "[s] how long loading a body or a garment may take; after that the avatar keeps what it wears",
+        "[s] how long loading a body or a garment may take. After that the avatar keeps what it wears",
         low=1,
         high=3600,
     )
@@ -262,7 +262,8 @@ class NodeSettings:
     )
     deadline: float = _key(
         0.0,
-        "[s] from the arrival of a joint state to its last cloud; joint states that take longer are counted. 0: none",
+        "[s] time from the arrival of a joint state to its last cloud. Joint states that take longer are counted. "
+        "0: no limit",
         changes=True,
         low=0,
         high=60,
