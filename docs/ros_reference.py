@@ -34,6 +34,7 @@ Parameters marked \\* may change while the node runs. All others are fixed once 
 lengths are in metres, angles in radians and times in seconds.
 """
 TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
+NAME = r"(?<![\w`/.])(~/\w+|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
 PARTS = (
     ("Of the node", "", NodeSettings),
     (
@@ -72,7 +73,10 @@ def _parameter(name: str, kind: str, setting: Setting) -> str:
     default = _default(setting.declared)
     allowed = f" Allowed: {_range(setting)}." if _range(setting) else ""
     mark = " \\*" if setting.changes else ""
-    return f"| `{name}`{mark} | {text} | {default} | {_cell(setting.description.rstrip('.'))}.{allowed} |"
+    description = re.sub(
+        rf"(?<![\w(])({'|'.join(filter(None, setting.choices)) or '(?!)'})\b", r"`\1`", setting.description
+    )
+    return f"| `{name}`{mark} | {text} | {default} | {_cell(description.rstrip('.'))}.{allowed} |"
 
 
 def _default(value: object) -> str:
@@ -139,8 +143,9 @@ def _uncommented(text: str) -> str:
     return " ".join(line.lstrip("# ") for line in text.splitlines())
 
 
-def _cell(text: object) -> str:
-    return str(text).replace("|", "\\|")
+def _cell(text: str) -> str:
+    """Of a table. Names of topics, parameters and types are set as code."""
+    return re.sub(NAME, r"`\1`", text).replace("|", "\\|")
 
 
 if __name__ == "__main__":

@@ -155,9 +155,9 @@ class AvatarSettings:
     )
     orientation: str = _key(
         "gravity",
-        "source of gravity. gravity (Vector3Stamped), joints (roll and pitch in the joint states) and fixed (the "
-        "parameter gravity) tell only this. pose (PoseStamped), odometry (Odometry), tf and imu (Imu) also tell "
-        "how the root moves, so that cloth sways with it",
+        "what says where down is. gravity (Vector3Stamped), joints (roll and pitch in the joint states) and fixed "
+        "(the parameter gravity) tell only this. pose (PoseStamped), odometry (Odometry), tf and imu (Imu) also "
+        "tell how the root moves, so that cloth sways with it",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
