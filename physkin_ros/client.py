@@ -129,7 +129,7 @@ class GarmentClient:
     Args:
         node: the reader's `rclpy.node.Node`.
         on_frame: called with each `GarmentFrame`.
-        topics: what the garment's topics are below, such as "/drape_node" or "/drape_node/alice/top".
+        topics: the name that the garment's topics begin with, such as "/drape_node" or "/drape_node/alice/top".
         depth: of the queue of garment nodes.
 
     Attributes:

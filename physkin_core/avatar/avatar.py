@@ -22,7 +22,7 @@ class AvatarError(ValueError):
 
 
 class AvatarWarning(UserWarning):
-    """Something of an avatar file was assumed or repaired; what `Avatar.warnings` keeps."""
+    """An avatar file was repaired or guessed at, or a garment does not sit well. `Avatar.warnings` keeps it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ until nothing weighs anything, or three times as much."""
 
 @dataclass(frozen=True)
 class Fabric:
-    """How cloth stretches, bends and weighs.
+    """How cloth stretches and bends, and how heavy it is.
 
     Args:
         stretch: Young's modulus of the membrane [N/m].
@@ -67,7 +67,7 @@ FABRICS = {
     "denim": Fabric(stretch=350.0, bend=5e-5, density=0.4),
     "leather": Fabric(stretch=800.0, bend=2.5e-4, density=0.55),
 }
-"""Cloth by name, from measurements and textbooks (docs/fabrics.md says which). Jersey is the reference material."""
+"""Fabrics by name, from measurements and textbooks (docs/notebook/fabrics.md). Jersey is the reference material."""
 
 
 COLOURS = {
@@ -153,9 +153,9 @@ def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
     Args:
         model: the garment as it was trained.
         fabric: a name ("denim"), numbers ("bend=2e-5+density=0.18"), a colour ("navy", "#334"), a name with a colour
-            ("denim:navy"), or a `Fabric`. A name multiplies what the model was trained as by that fabric's ratios to
-            jersey; if the model has not learnt cloth as stiff or soft, it takes the nearest that it has learnt.
-            Numbers are taken as they are; those left out stay the model's own. Text also decides the look.
+            ("denim:navy"), or a `Fabric`. A name multiplies the material of the model by that fabric's ratios to
+            jersey. If the model has not learnt cloth of this stiffness, it uses the nearest that it has learnt. Numbers
+            are used as they are; numbers left out stay the model's own. A text also decides how the cloth looks.
 
     Returns:
         A model like any other: it can be draped, saved and measured.

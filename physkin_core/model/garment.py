@@ -141,8 +141,8 @@ class Garment:
         """The same mesh with another shape at rest.
 
         Args:
-            vertices: (n, 3) [m]. The mesh rests as they lie; if it has panels, each face of these is stretched as its
-                face is.
+            vertices: (n, 3) [m] of the mesh at rest. If it has panels, each panel face is stretched as its face of
+                the mesh is.
 
         Returns:
             A new garment.
@@ -229,8 +229,8 @@ def load_garment(path: str | Path) -> Garment:
     """Read a garment mesh.
 
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one. Line elements of an OBJ
-    are the garment's creases. Its texture coordinates are its panels if they are flat cloth in metres, which their
-    sizes tell.
+    are the garment's creases. Its texture coordinates are taken for its flat panels if their
+    sizes show that they are in metres.
 
     Args:
         path: OBJ, PLY or STL file; metres, in the root frame of its canonical body.

@@ -121,14 +121,25 @@ class SkinnedGarment:
 
 @dataclass(frozen=True)
 class GarmentModel(SkinnedGarment):
-    """Everything a run needs. Raises GarmentModelError naming what does not fit.
+    """A trained garment: all that is needed to put it on a body and to drape it.
 
-    hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`), "fit" and "bend" among them, by which
-    rest shapes made to measure and cloth that bends otherwise are known. pose_modulator, node_deformer: layers. sway:
-    network that moves the garment nodes of a body that moves; None: they are as at rest. training, scores: plain data
-    on how it was trained (seed, bodies, steps) and how it measured up. In training, bending_octaves says how much
-    softer and stiffer than `material` it has learnt to bend, as powers of two; default `BENDING_OCTAVES`. as_trained:
-    of a model that `with_fabric` has given, the one that it was given; None of any other. No file holds it.
+    Attributes:
+        name: of the garment.
+        rig: that it was trained on.
+        garment: its mesh, and the shape of this at rest.
+        fabric: that it is made of, as `with_fabric` takes it. Empty: the fabric that it was trained as.
+        hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`). "fit" and "bend" tell the network
+            how far the garment is made to measure, and how stiff its cloth is.
+        pose_modulator, node_deformer: layers of these networks.
+        sway: network that moves the garment nodes as the body moves. None: cloth does not swing.
+        material: the cloth that it is made of.
+        training: plain data on how it was trained: seed, bodies, steps. `bending_octaves` says how much softer and
+            stiffer cloth it has learnt, as powers of two; by default `BENDING_OCTAVES`.
+        scores: plain data on how well it drapes.
+        as_trained: the model that `with_fabric` made this one from. None: it is as it was trained. Not stored in files.
+
+    Raises:
+        GarmentModelError: naming what does not fit together.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -180,11 +191,11 @@ class GarmentModel(SkinnedGarment):
         return softest, stiffest
 
     def for_engines(self) -> GarmentModel:
-        """The same model with the few influences a vertex that game engines take."""
+        """The same model with 4 influences a vertex, as game engines take them."""
         return replace(self, influence_nodes=self.engine_nodes, influence_weights=self.engine_weights)
 
     def without_networks(self) -> SkinnedGarment:
-        """What is left of it once it is bound to a body."""
+        """The same garment without its networks, which binding folds into the bound garment."""
         return SkinnedGarment(**{entry.name: getattr(self, entry.name) for entry in fields(SkinnedGarment)})
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -101,7 +101,7 @@ class Draper:
 
     @property
     def at_rest(self) -> RestLook:
-        """How the garment sits on the body at rest, as it was when it was bound."""
+        """How the garment sat on the body at rest when it was bound."""
         return self.layer.at_rest
 
     @property

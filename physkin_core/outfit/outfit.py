@@ -42,8 +42,8 @@ FULL_TURN = 2 * np.pi
 class Outfit:
     """Drapes one to four garments on one body, a pose at a time.
 
-    What can be worn but looks odd, or does not sit well, is issued as an AvatarWarning. A joint more than a full turn
-    beyond its limits is probably given in degrees: the first one is logged as a warning.
+    An AvatarWarning says if garments look odd together, or do not sit well. A joint more than a full turn beyond its
+    limits is probably given in degrees: the first one is logged as a warning.
 
     Args:
         garments: from the skin outwards; `WornGarment(model, tucked=True)` for one whose hem is worn under the
@@ -55,11 +55,11 @@ class Outfit:
             tenths of a second longer; frames take the same time.
         normals: "skinned": rest normals are carried along with their vertices; "faces": they are computed from the
             draped mesh, which is truer where cloth ripples or slides, and takes about 2 ns a vertex. A garment with
-            detail always has the latter.
+            detail nodes always uses "faces".
         hide_covered: leave out of the clouds what outer garments cover in everyday poses; `Layer.visible` lists the
             vertices that remain. False: clouds have all vertices.
         own_clothes: what pictures show of clothes that the avatar wears already. "replace": all but those that the
-            garments replace; "hide": none; "keep": all that is not under a garment. Drapes are the same.
+            garments replace; "hide": none; "keep": all that is not under a garment. This does not change the drape.
 
     Attributes:
         layers: the garments as they are worn here, from the skin outwards.
@@ -104,7 +104,7 @@ class Outfit:
         precision: Precision | None = None,
         normals: Literal["skinned", "faces"] = "skinned",
     ) -> Outfit:
-        """An outfit that has been bound already, perhaps by another process. Nothing is warned of again.
+        """An outfit that has been bound already, perhaps by another process. It issues no warnings again.
 
         Raises:
             ValueError: for an unknown precision or kind of normals, or arrays that do not fit together.
@@ -127,9 +127,8 @@ class Outfit:
         self._warned_of_degrees = False
 
     def twin(self) -> Outfit:
-        """The same outfit on the same body, for another performer: it has frames of its own, and starts with the
-        present
-        `sway` and `wind`. Nothing is bound again.
+        """The same outfit on the same body, for another performer. It keeps its own frames, and starts with the
+        `sway` and `wind` of this one. Nothing is bound again.
 
         Examples:
             >>> tshirt = physkin.load_garment_model("tshirt")
@@ -286,10 +285,8 @@ class Outfit:
 
     @property
     def sway(self) -> float | tuple[float, ...]:
-        """How much the garments swing when `drape` is given time and root, from 0 to 1: one number for all or, where
-        they
-        differ, one for each from the skin outwards. 1 is the default. At 0 every frame is draped by itself, whatever
-        its time.
+        """How much the garments swing when `drape` is given time and root, from 0 to 1: one number for all, or one for
+        each garment from the skin outwards. 1 is the default. At 0 every frame is draped by itself, whatever its time.
 
         Raises:
             ValueError: when set to other numbers, or to another number of them.
@@ -329,8 +326,7 @@ class Outfit:
 
     def features(self) -> tuple[np.ndarray, ...]:
         """What moves the detail nodes of each garment in the last frame: (F,), empty for a garment without any.
-        Skinning
-        takes it together with `node_transforms`.
+        Skinning takes it together with `node_transforms`.
         """
         return tuple(self._evaluator.features(k) for k in range(len(self.layers)))
 

@@ -102,8 +102,7 @@ class Layer:
 
     @cached_property
     def rest_garment(self) -> Garment:
-        """The model's whole mesh in the rest shape worn here, which depends on the fit: what strains are measured
-        against."""
+        """The model's whole mesh in the rest shape that is worn here. Strains are measured against it."""
         return self.model.garment.reshaped(self.bound.vertices)
 
     @property
@@ -114,7 +113,7 @@ class Layer:
 
     @cached_property
     def hem_distance(self) -> np.ndarray:
-        """(n,) [m] along the cloth at rest from each vertex to its closest opening; tucked hems are none."""
+        """(n,) [m] along the cloth at rest from each vertex to its closest opening. Tucked hems do not count."""
         vertices, faces = self.bound.vertices, self.bound.faces
         hem = np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)])
         return path_lengths(vertices, faces, hem[self.tucked_depth[hem] == 0])

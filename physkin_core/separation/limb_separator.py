@@ -63,8 +63,8 @@ def fit_limbs(rig: Rig, avatar: Avatar) -> BoundLimbs:
 class LimbSeparator:
     """Moves arms and legs of one body out of its trunk and each other, a pose at a time. Not for two threads at once.
 
-    A pose without contact comes back unchanged, and so does the canonical pose: what touches there may touch. Positions
-    stay within the rig's limits or, if they were beyond, go no farther. The result depends on the pose alone, and
+    A pose without contact comes back unchanged. Parts that touch in the canonical pose may touch. Positions stay within
+    the rig's limits; a position beyond them goes no farther. The result depends on the pose alone, and
     continuously: smooth motion stays smooth.
 
     Args:
@@ -88,7 +88,7 @@ class LimbSeparator:
 
     @classmethod
     def from_bound(cls, limbs: BoundLimbs) -> LimbSeparator:
-        """The separator of limbs that have been fitted already, perhaps by another process."""
+        """A separator whose limbs have been fitted already, perhaps by another process."""
         separator = cls.__new__(cls)
         separator._bind(limbs)
         return separator

@@ -52,18 +52,19 @@ RootSample = native.RootSample
 
 @refuse_old_names
 class FrameInput:
-    """What the garments of one avatar are given in a frame besides joint positions, kept from frame to frame.
+    """What a frame of one avatar's garments needs besides joint positions: gravity, time, root and wind.
 
-    In each frame first say where down is, by `set_gravity`, `set_effective_gravity`, `set_root` or `set_root_sample`;
-    then begin the frame, which adds the wind. `fill` does both.
+    In each frame, first call `set_gravity`, `set_effective_gravity`, `set_root` or `set_root_sample` to say where down
+    is. Then call `begin_frame`, which adds the wind. `fill` does both.
 
     Args:
         garments: how many, 1 or more.
 
     Attributes:
-        rows: (g, 13) float32, overwritten in every frame: effective gravity (3) in units of gravity; passed time [s],
-            negative if the frame before does not count; how much a sway network counts, 0 to 1; elapsed time [s] for
-            it; whether rates count, 0 or 1; velocity (3) [m/s] and turning (3) [rad/s] of the root.
+        rows: (g, 13) float32, overwritten in every frame: effective gravity (3) in units of gravity; time since the
+            frame before [s], negative if cloth does not go on from that frame; share of the sway network's motion that
+            is used, 0 to 1; time since the frame before [s] for this network, negative in a first frame; 1 if
+            velocities of joints and root are used, otherwise 0; velocity (3) [m/s] and turning (3) [rad/s] of the root.
 
     Raises:
         ValueError: for less than one garment.
@@ -83,8 +84,8 @@ class FrameInput:
 
     @property
     def sway(self) -> tuple[float, ...]:
-        """How much the cloth of each garment moves if the time is known. 1, the default: it keeps its pace, and a sway
-        network lets it swing; 0: not at all, and every frame stands by itself.
+        """How much the cloth of each garment moves from frame to frame, if their times are known. 1, the default: its
+        speed is limited, and a sway network lets it swing. 0: every frame is draped by itself.
 
         Raises:
             ValueError: when set to other numbers, or to another number of them.
@@ -101,8 +102,8 @@ class FrameInput:
     @property
     def wind(self) -> tuple[float, float, float]:
         """Velocity [m/s] (3) of the air in the world, Z up: the world of the root's pose or, if only the direction of
-        gravity is known, a level frame that faces the same way as the root. It pulls at all garments, however much they
-        sway. A new wind comes up at 30 m/s2.
+        gravity is known, a level frame that faces the same way as the root. It moves all garments, however much they
+        sway. A change of wind takes effect gradually, at 30 m/s2.
 
         Raises:
             ValueError: when set to anything but three finite numbers, at most 13 m/s long.
@@ -130,13 +131,13 @@ class FrameInput:
         _checked(self._native.hang, gravity)
 
     def set_effective_gravity(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
-        """Say what pulls at cloth, for an accelerated root of whose motion nothing more is known.
+        """Say what pulls at the cloth, if only the acceleration of the root is known.
 
         Args:
             effective_gravity: (3,) [m/s2] gravity minus the acceleration of the root, in its frame: zero in free fall,
                 at most three times gravity.
-            at_rest: (3,) [m/s2] what it would be without the acceleration. Each garment then gets as much of the
-                difference as it sways, and the wind. None: effective gravity is all that pulls at cloth, wind included.
+            at_rest: (3,) [m/s2] gravity alone. Each garment then gets the share of the acceleration that its
+                `sway` says, and the wind is added. None: the cloth gets effective gravity as it is, without wind.
 
         Raises:
             ValueError: for values that are not allowed.
@@ -191,10 +192,11 @@ class FrameInput:
         time: float | None = None,
         root: np.ndarray | None = None,
     ) -> None:
-        """Do all of it in one call.
+        """Say where down is and begin the frame, in one call.
 
         Args:
-            gravity: (3,) direction in the root frame, of any length but zero; used if there is nothing below.
+            gravity: (3,) direction in the root frame, of any length but zero; used without
+                `effective_gravity` and `root`.
             effective_gravity: (3,) [m/s2], as for `set_effective_gravity`.
             time, root: as for `set_root`. `time` alone only begins the frame at that time.
 
