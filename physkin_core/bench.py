@@ -55,7 +55,9 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin bench", description=__doc__.split("`: ")[1].splitlines()[0])
     parser.add_argument("model", nargs="?", default="tshirt", help="garment model (default %(default)s)")
     add_fit_option(parser)
-    parser.add_argument("--rounds", type=int, default=100, metavar="N", help="turns of 5 calls (default %(default)s)")
+    parser.add_argument(
+        "--rounds", type=int, default=100, metavar="N", help="rounds of 5 frames each (default %(default)s)"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to this file")
     return parser
 

@@ -41,45 +41,54 @@ from physkin_core.separation.limb_separator import separated_motion
 __all__ = ["main"]
 
 FORWARDED = {
-    "check": ("physkin_core.check.check", "say how garments sit on an avatar: a verdict, figures, a picture"),
+    "check": ("physkin_core.check.check", "tell how garments sit on an avatar: a verdict, figures, a picture"),
     "export": ("physkin_core.export.export", "write a draped motion as glTF (.glb) or USD, for other tools"),
     "render": ("physkin_core.render.render", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
     "bind-points": (
         "physkin_core.points.bind_points",
-        "carry a garment to another mesh, a point cloud or Gaussian splats; write them draped",
+        "drape another mesh, a point cloud or Gaussian splats that lie on a garment",
     ),
-    "doctor": ("physkin_core.doctor.doctor", "check this installation; say what to do where something is wrong"),
+    "doctor": ("physkin_core.doctor.doctor", "check this installation, and tell what to do if something is wrong"),
     "view": ("physkin_core.view.view", "show an avatar and its outfit live, on a page in the browser"),
     "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
-    "demo": ("physkin_ros.tools.demo", "run the node between a motion player and a listener; draw a picture"),
-    "fit-garment": ("physkin_training.fit_garment.fit_garment", "check, train and report on a garment of one's own"),
+    "demo": ("physkin_ros.tools.demo", "play a motion to the node for ten seconds, measure what comes back, draw it"),
+    "fit-garment": (
+        "physkin_training.fit_garment.fit_garment",
+        "check and train a garment of your own, and write a report",
+    ),
     "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
     "train-catalogue": (
         "physkin_training.catalogue.train_catalogue",
-        "check, train and report on every garment of a folder, on a Ray cluster",
+        "run fit-garment on every garment of a folder, on a Ray cluster",
     ),
     "learn-sway": (
         "physkin_training.sway.command",
-        "learn how a garment lags, swings and settles, from simulated walkers",
+        "teach a garment to lag, swing and settle, from simulated walkers",
     ),
-    "bench": ("physkin_core.bench", "time a frame and its stages on this machine"),
+    "bench": ("physkin_core.bench", "measure how long a frame and its stages take on this machine"),
     "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
-    "evaluate": ("physkin_training.evaluate.command", "measure a garment model or outfits on bodies it has not seen"),
-    "contact-sheet": ("physkin_training.evaluate.contact_sheet", "draw a model on thin, average and heavy bodies"),
+    "evaluate": (
+        "physkin_training.evaluate.command",
+        "measure a garment model or outfits on bodies that training has not seen",
+    ),
+    "contact-sheet": (
+        "physkin_training.evaluate.contact_sheet",
+        "draw a garment model on a lean, an average and a stout body",
+    ),
     "replay": (
         "physkin_ros.replay.command",
-        "drape the joint states of a bag; write clouds, figures and a report, without ROS",
+        "drape the joint states of a bag, and write clouds, figures and a report; needs no ROS",
     ),
     "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
 }
 """Subcommand -> module whose `main(argv)` it calls, and what it does."""
 
 OWN = {
-    "drape": "drape one frame of a motion; write a mesh or a picture",
+    "drape": "drape one frame of a motion, and write a mesh or a picture",
     "bind": "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)",
-    "info": "say what a garment model file holds",
+    "info": "show what a garment model file holds",
     "convert-model": "convert a garment model file of an earlier release to this one",
-    "completion": "print what a shell needs to complete commands and options",
+    "completion": "print the completion script of a shell",
 }
 """The other subcommands, and what they do."""
 
@@ -183,7 +192,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
         parents = [forwarded[name]] if forwarded and name in forwarded else []
         commands.add_parser(name, help=text, add_help=False, parents=parents)
     worn = argparse.ArgumentParser(add_help=False)
-    worn.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
+    worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
     add_garment_option(worn)
     add_rig_option(worn)
     add_fit_option(worn)
@@ -191,7 +200,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
-        "--strip", type=int, metavar="N", help="instead: a picture of N frames, evenly spread, front and back"
+        "--strip", type=int, metavar="N", help="draw N frames instead, evenly spread, from the front and the back"
     )
     add_limbs_option(drape)
     add_tucked_option(drape)
@@ -200,7 +209,9 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     drape.set_defaults(run=_drape)
     bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"], description=OWN["bind"])
     add_tucked_option(bind)
-    bind.add_argument("-o", "--output", type=Path, required=True, help="file to write (docs/c-host.md)")
+    bind.add_argument(
+        "-o", "--output", type=Path, required=True, help="file to write, such as me.physkin (docs/c-host.md)"
+    )
     bind.set_defaults(run=_bind)
     info = commands.add_parser("info", help=OWN["info"], description=OWN["info"])
     info.add_argument("model", help="garment model file, or the name of a shipped one")

@@ -82,7 +82,7 @@ def _frame() -> Finding:
     except ValueError as error:
         return Finding("a frame", "broken", str(error), REINSTALL)
     apart = float(np.abs(rounded[:, :3] - exact[:, :3]).max())
-    said = f"T-shirt on the bundled avatar; network weights in int8 and fp32 differ by {1e3 * apart:.2f} mm"
+    said = f"T-shirt on the bundled avatar; its drapes in int8 and fp32 differ by {1e3 * apart:.2f} mm"
     if not apart <= AGREEMENT:
         return Finding("a frame", "broken", said, f"{REINSTALL}; if that does not help, report it with this output")
     return Finding("a frame", "good", said)

@@ -52,13 +52,13 @@ def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -
     """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet: None then stands for the body that
     shipped ones were made on; else the bundled one is the default."""
     default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
-    parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"body file (default: {said})")
+    parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"avatar file (default: {said})")
     add_rig_option(parser)
 
 
 def add_rig_option(parser: argparse.ArgumentParser) -> None:
     """Add `--rig`."""
-    parser.add_argument("--rig", metavar="FILE", help="rig file for a body without skinning weights")
+    parser.add_argument("--rig", metavar="FILE", help="rig file of an avatar without a skeleton")
 
 
 def add_own_clothes_option(parser: argparse.ArgumentParser) -> None:
@@ -88,8 +88,8 @@ def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) 
         *("-g", "--garment"),
         action="append",
         metavar="MODEL",
-        help=f"a shipped name or a file (default {default}); fabric and colour may follow, as in skirt:denim:navy. "
-        "Repeat it for an outfit, from the skin outwards",
+        help=f"garment: a shipped name or a file (default {default}); fabric and colour may follow, as in "
+        "skirt:denim:navy. Repeat it for an outfit, from the skin outwards",
     )
 
 
@@ -100,14 +100,14 @@ def add_tucked_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODEL",
-        help="garment to tuck into the waistband of the next one",
+        help="garment to tuck into the waistband of the next one; repeat it for several",
     )
 
 
 def add_limbs_option(parser: argparse.ArgumentParser) -> None:
     """Add `--separate-limbs`."""
     parser.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of this body's trunk and each other"
+        "--separate-limbs", action="store_true", help="move arms and legs out of the trunk and out of each other"
     )
 
 

@@ -58,7 +58,9 @@ def command_parser() -> argparse.ArgumentParser:
     add_sway_option(parser)
     add_wind_option(parser)
     usual = Camera()
-    parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: 30, or the motion's own)")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own, at most 30)"
+    )
     parser.add_argument(
         "--size", default="{}x{}".format(*usual.size), metavar="WxH", help="width and height (default %(default)s)"
     )
@@ -67,7 +69,7 @@ def command_parser() -> argparse.ArgumentParser:
         type=float,
         default=usual.azimuth,
         metavar="DEG",
-        help="side the camera is on: 0 in front, 90 on the left, 180 behind (default %(default)s)",
+        help="where the camera stands: 0 in front, 90 on the body's left, 180 behind (default %(default)s)",
     )
     parser.add_argument(
         "--follow",
@@ -80,7 +82,7 @@ def command_parser() -> argparse.ArgumentParser:
         type=int,
         default=usual.samples,
         metavar="N",
-        help="light paths a pixel: more is smoother and slower (default %(default)s)",
+        help="light paths for each pixel: more is smoother and slower (default %(default)s)",
     )
     parser.add_argument(
         *("-o", "--output"), type=Path, required=True, help=f"{', '.join(FILM_KINDS)}; x.png becomes x_0000.png, ..."

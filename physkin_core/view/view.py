@@ -105,7 +105,7 @@ def begin(page: Page, *, browser: bool) -> None:
 def command_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
-    parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="body file (default: the bundled one)")
+    parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="avatar file (default: the bundled one)")
     add_rig_option(parser)
     add_own_clothes_option(parser)
     add_garment_option(parser, ", ".join(WORN))
@@ -114,17 +114,20 @@ def command_parser() -> argparse.ArgumentParser:
     add_limbs_option(parser)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
-        "--splats", metavar="PLY", help="Gaussian splats where one of the garments lies, drawn in its place"
+        "--splats", metavar="PLY", help="Gaussian splats that lie on one of the garments; they are drawn instead of it"
     )
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
     parser.add_argument(
         "--joint-states",
         action="append",
         metavar="TOPIC",
-        help="with --ros and AVATAR: poses of the body; given several times (/alice/joint_states), several bodies "
-        "(default joint_states)",
+        help="with --ros and AVATAR: topic of the body's poses (default joint_states); repeat it for several bodies",
     )
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen at (default: this machine alone)")
-    parser.add_argument("--port", type=int, default=8080, help="or the next free one (default %(default)s)")
-    parser.add_argument("--no-browser", action="store_true", help="print the page's address, open nothing")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to listen at (default: only this machine can open the page)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=8080, help="port of the page, or the next free one (default %(default)s)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")
     return parser

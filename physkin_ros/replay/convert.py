@@ -21,18 +21,26 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument("--storage", choices=STORAGES, help="format of an output folder (default mcap)")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; mocap: 60)"
+        "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; 60 for motion capture)"
     )
-    parser.add_argument("--skeleton", metavar="ASF", help="of an .amc (default: 02.asf for 02_02.amc)")
-    parser.add_argument("--source-rate", type=float, default=AMC_RATE_HZ, metavar="HZ", help="of an .amc (%(default)s)")
+    parser.add_argument("--skeleton", metavar="ASF", help="skeleton of an .amc (default: 02.asf for 02_02.amc)")
+    parser.add_argument(
+        "--source-rate",
+        type=float,
+        default=AMC_RATE_HZ,
+        metavar="HZ",
+        help="rate at which an .amc was recorded (default %(default)g)",
+    )
     parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
-    parser.add_argument("--topic", default="/joint_states", help="default %(default)s")
-    parser.add_argument("--gravity-topic", default="/gravity", help="default %(default)s")
+    parser.add_argument("--topic", default="/joint_states", help="topic of joint states (default %(default)s)")
+    parser.add_argument(
+        "--gravity-topic", default="/gravity", help="topic of the direction of gravity (default %(default)s)"
+    )
     parser.add_argument("--frame-id", default="base_link", help="TF frame of the root (default %(default)s)")
     parser.add_argument(
         "--world-frame",
         default="world",
-        help="TF frame that /tf and /odom start at (default %(default)s; '': neither)",
+        help="TF frame of the world, for /tf and /odom (default %(default)s; '' writes neither topic)",
     )
     return parser
 

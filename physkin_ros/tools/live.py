@@ -28,10 +28,14 @@ PASSING, LATCHED = QoSProfile(depth=100), QoSProfile(depth=100, durability=Durab
 
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0."""
-    parser = argparse.ArgumentParser(prog="physkin replay --live", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="physkin replay --live", description=__doc__.split("`: ", 1)[1].splitlines()[0]
+    )
     parser.add_argument("bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file")
-    parser.add_argument("--live", action="store_true", help="play, do not drape")
-    parser.add_argument("--rate", type=positive, default=1.0, metavar="R", help="times as fast (default 1)")
+    parser.add_argument("--live", action="store_true", help="play the messages instead of draping them")
+    parser.add_argument(
+        "--rate", type=positive, default=1.0, metavar="R", help="speed: 2 plays twice as fast (default 1)"
+    )
     parser.add_argument("--topic", help="topic of joint states (default /joint_states, or the only one)")
     parser.add_argument(
         "--gravity-topic", help="topic of the direction of gravity (default /gravity, if the bag has it)"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import check_garment, write_garment
 from physkin_training.fit_garment.sewn_mesh import sewn_mesh
 
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--names", nargs="+", choices=tuple(EDGE_LENGTHS), default=tuple(EDGE_LENGTHS))
     parser.add_argument("--output", type=Path, default=PATTERNS.parent, help="folder for NAME.obj")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     options = parser.parse_args(arguments)
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import torch
 
-__all__ = ["DEFAULT_DEVICE", "resolve_device"]
+__all__ = ["DEFAULT_DEVICE", "DEVICE_HELP", "resolve_device"]
 
 DEFAULT_DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+DEVICE_HELP = "cpu, cuda or cuda:1 (default: cuda if there is a GPU)"
 
 
 def resolve_device(name: str) -> torch.device:

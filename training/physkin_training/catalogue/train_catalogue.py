@@ -140,11 +140,22 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MODELS", help="folder to write")
     add_avatar_options(parser, made_on=True)
     add_training_options(parser)
-    parser.add_argument("--address", help="of a Ray cluster (default: one that runs here, else one is started)")
-    parser.add_argument("--workers", type=int, metavar="N", help="most garments at once (default: as many as fit)")
-    parser.add_argument("--cpus", type=int, default=1, help="processor cores a garment (default 1)")
-    parser.add_argument("--device", choices=("cpu", "cuda"), help="default: a GPU a garment where there are any")
-    parser.add_argument("--retries", type=int, default=3, help="of a garment whose worker was lost (default 3)")
+    parser.add_argument(
+        "--address", help="address of a Ray cluster (default: the one on this machine, which is started if need be)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        help="garments that train at the same time, at most (default: as many as fit)",
+    )
+    parser.add_argument("--cpus", type=int, default=1, help="processor cores for each garment (default 1)")
+    parser.add_argument(
+        "--device", choices=("cpu", "cuda"), help="where to train (default: one GPU for each garment, if there are any)"
+    )
+    parser.add_argument(
+        "--retries", type=int, default=3, help="new attempts for a garment whose worker was lost (default 3)"
+    )
     return parser
 
 

@@ -1,4 +1,4 @@
-"""`physkin simulate GARMENT --dynamic`: cloth with inertia, on several bodies in several scenes at once."""
+"""`physkin simulate GARMENT --dynamic`: simulate cloth with inertia, on several bodies in several scenes at once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import torch
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.motion import Motion
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.dynamics.dynamic_simulation import TOLERANCE, DynamicSimulation, Frame
 from physkin_training.dynamics.reference import Reference, save_reference, spread, swinging_vertices
 from physkin_training.dynamics.scenes import ACTED_SCENES, ROOT_SCENES, load_scene
@@ -36,39 +36,66 @@ def main(argv: list[str]) -> int:
         return 2
 
 
+DYNAMICS = {
+    "air_drag": "deceleration of cloth over its speed through still air [1/s]",
+    "relaxation": "viscosity of the membrane over its stiffness [s]",
+}
+"""What its fields are, for --help."""
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="physkin simulate --dynamic", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="physkin simulate --dynamic", description=__doc__.split("`: ", 1)[1].splitlines()[0]
+    )
     parser.add_argument("garment", help="garment model file, or the name of a shipped one")
-    parser.add_argument("--dynamic", action="store_true", required=True, help="with inertia")
+    parser.add_argument("--dynamic", action="store_true", required=True, help="let the cloth move through time")
     parser.add_argument(
         "--scenes",
         nargs="+",
         default=DEFAULT_SCENES,
         metavar="SCENE",
-        help=f"clips, from CLIP@SECONDS on where wanted, or {', '.join((*ROOT_SCENES, *ACTED_SCENES))} "
-        "(default: %(default)s)",
+        help=f"clips (CLIP@SECONDS begins there), or {', '.join((*ROOT_SCENES, *ACTED_SCENES))} (default: %(default)s)",
     )
     parser.add_argument("--seconds", type=float, default=5.5, help="length of every scene (default %(default)s)")
-    parser.add_argument("--bodies", type=int, default=3, help="held-out ones, from lean to stout (default %(default)s)")
-    parser.add_argument("--steps", type=int, default=8, help="of implicit Euler in a frame (default %(default)s)")
+    parser.add_argument(
+        "--bodies", type=int, default=3, help="held-out bodies, from lean to stout (default %(default)s)"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=8, help="steps of implicit Euler in each frame (default %(default)s)"
+    )
     parser.add_argument(
         "--held-above",
         type=float,
         default=float("inf"),
         metavar="Z",
-        help="vertices above, in the canonical pose [m], as of a bodice, stay as the model drapes them",
+        help="vertices above this height of the canonical pose [m], such as a bodice, stay as the model drapes them",
     )
     for entry in fields(Dynamics):
         name = "--" + entry.name.replace("_", "-")
-        parser.add_argument(name, type=float, default=entry.default, metavar="X", help="(default %(default)s)")
-    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="residual force / weight (%(default)s)")
-    parser.add_argument("--iterations", type=int, default=3, help="Newton steps in a step (default %(default)s)")
-    parser.add_argument("--products", type=int, default=48, help="in a Newton step (default %(default)s)")
-    parser.add_argument("--points", type=int, default=96, help="vertices kept of every frame (default %(default)s)")
-    parser.add_argument("--whole", type=int, default=30, help="a whole garment every so many frames (%(default)s)")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="what is done by then is written")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder: a file GARMENT_SCENE.npz each")
+        parser.add_argument(
+            name, type=float, default=entry.default, metavar="X", help=f"{DYNAMICS[entry.name]} (default %(default)s)"
+        )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=TOLERANCE,
+        help="force that may be left, over the weight of the garment (default %(default)s)",
+    )
+    parser.add_argument("--iterations", type=int, default=3, help="Newton steps in each step (default %(default)s)")
+    parser.add_argument(
+        "--products", type=int, default=48, help="matrix products in each Newton step (default %(default)s)"
+    )
+    parser.add_argument("--points", type=int, default=96, help="vertices to write in every frame (default %(default)s)")
+    parser.add_argument(
+        "--whole", type=int, default=30, help="write the whole garment every so many frames (default %(default)s)"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="stop after so many minutes and write what is done"
+    )
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, help="folder to write; each scene is a file GARMENT_SCENE.npz"
+    )
     return parser
 
 

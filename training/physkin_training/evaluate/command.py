@@ -13,7 +13,7 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.output_file import check_folder
 from physkin_core.progress import progress_line
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.outfit_evaluation import evaluate_outfits, parse_outfit
 from physkin_training.evaluate.score_table import dynamics_table, outfit_table, table
@@ -49,36 +49,39 @@ def command_parser() -> argparse.ArgumentParser:
         "--outfit",
         action="append",
         metavar="GARMENT,GARMENT",
-        help="instead of MODEL: from the skin outwards, as trousers,tshirt or tshirt:tucked,trousers; repeatable",
+        help="outfit to measure instead of a model, from the skin outwards: trousers,tshirt or tshirt:tucked,trousers. "
+        "Repeat it for several",
     )
-    parser.add_argument("--bodies", type=int, help="held-out bodies (default 16; of outfits 3, from lean to stout)")
-    parser.add_argument("--poses", type=int, help="uniform poses a body (default 256)")
+    parser.add_argument(
+        "--bodies", type=int, help="held-out bodies to measure on (default 16; for outfits 3, from lean to stout)"
+    )
+    parser.add_argument("--poses", type=int, help="random poses of each body (default 256)")
     parser.add_argument(
         "--motion",
         nargs="*",
         default=bundled_motions(),
         metavar="CLIP",
-        help="shipped clips, motion files or bags to measure on as well (default all shipped ones; none given: none)",
+        help="shipped clips, motion files or bags to measure on as well (default: all shipped clips; no CLIP: none)",
     )
     parser.add_argument(
         "--stride",
         type=int,
         metavar="FRAMES",
-        help="of outfits: from one run of frames measured to the next (default 60)",
+        help="for outfits: every how many frames of a clip to measure (default 60)",
     )
     parser.add_argument(
         "--minimum",
         type=int,
         metavar="PAIRS",
-        help="also minimise the energy of that many pairs of a body and a pose, uniform and from motion",
+        help="also minimise the energy of that many pairs of a body and a pose, for comparison",
     )
     parser.add_argument(
         "--dynamic",
         type=Path,
         metavar="REFERENCES",
-        help="instead: cloth in motion, against what `physkin simulate GARMENT --dynamic` wrote to this folder",
+        help="instead compare cloth in motion with what `physkin simulate GARMENT --dynamic` wrote to this folder",
     )
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--save-model", type=Path, metavar="FILE", help="write the model with its scores there")
     return parser

@@ -29,7 +29,7 @@ from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet
 from physkin_core.progress import progress_line
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
@@ -217,23 +217,27 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin contact-sheet`."""
     parser = argparse.ArgumentParser(prog="physkin contact-sheet", description=__doc__.splitlines()[0])
     parser.add_argument("model", help="garment model file, or the name of a shipped one")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG", help="picture to write")
     parser.add_argument("--poses", type=int, help=f"poses on each of the three bodies (default {POSES})")
     parser.add_argument(
         "--motion",
         nargs="+",
         metavar="CLIP",
-        help="shipped clips, motion files or bags that all poses are from (default: half of the poses are uniform)",
+        help="shipped clips, motion files or bags to take all poses from (default: half of the poses are random)",
     )
-    parser.add_argument("--close", action="store_true", help="the garment alone fills the pictures, front and back")
+    parser.add_argument(
+        "--close", action="store_true", help="fill the pictures with the garment, from the front and the back"
+    )
     parser.add_argument(
         "--strip",
         metavar="CLIP",
-        help=f"instead: the middle {STRIP_FRAMES} frames of a clip at {STRIP_RATE:g} Hz, close, on the average body",
+        help=f"draw the middle {STRIP_FRAMES} frames of a clip instead, at {STRIP_RATE:g} Hz, on the average body",
     )
     add_fit_option(parser)
-    parser.add_argument("--minimum", action="store_true", help="beside the full-space minimum (minutes on a CPU)")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument(
+        "--minimum", action="store_true", help="draw the full-space minimum beside the model (minutes on a CPU)"
+    )
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     return parser
 
 

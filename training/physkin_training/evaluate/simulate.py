@@ -31,7 +31,7 @@ from physkin_core.progress import progress_line
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
@@ -168,6 +168,18 @@ def main(argv: list[str] | None = None) -> int:
         return 2
 
 
+MATERIAL = {
+    "youngs_modulus": "stiffness of the membrane [N/m]",
+    "poisson_ratio": "Poisson ratio of the membrane",
+    "bending": "stiffness in bending [J]",
+    "density": "mass by area [kg/m2]",
+    "contact_offset": "distance that cloth keeps from the body [m]",
+    "contact_stiffness": "stiffness of the contact [J/m4]",
+    "rest_angles": "whether cloth is flat at rest, or as its mesh lies",
+}
+"""What its fields are, for --help."""
+
+
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin simulate`."""
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.split("`: ", 1)[1].splitlines()[0])
@@ -178,19 +190,30 @@ def command_parser() -> argparse.ArgumentParser:
         "--pose", type=Path, metavar="FILE", help='JSON: {"positions": {joint: radians}, "gravity": [...]}'
     )
     pose.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
-    parser.add_argument("--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion")
-    parser.add_argument("--dynamic", action="store_true", help="with inertia: other options, see --dynamic --help")
+    parser.add_argument(
+        "--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion (default 0)"
+    )
+    parser.add_argument(
+        "--dynamic",
+        action="store_true",
+        help="let the cloth move through time; it has other options: physkin simulate --dynamic --help",
+    )
     parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
     for entry in fields(Material):
         name = "--" + entry.name.replace("_", "-")
         kind = {"choices": get_args(RestAngles)} if entry.name == "rest_angles" else {"type": float, "metavar": "X"}
-        parser.add_argument(name, default=entry.default, help="(default %(default)s)", **kind)
-    parser.add_argument("--tolerance", type=float, default=1e-2, help="residual force / weight (default %(default)s)")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+        parser.add_argument(name, default=entry.default, help=f"{MATERIAL[entry.name]} (default %(default)s)", **kind)
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-2,
+        help="force that may be left, over the weight of the garment (default %(default)s)",
+    )
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     parser.add_argument(
         "-o", "--output", type=Path, required=True, help=".obj or .ply (one frame), or .npz (any number)"
     )
-    parser.add_argument("--picture", type=Path, metavar="PNG", help="body and garment of all frames")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="picture of body and garment in all frames")
     return parser
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import torch
 
 from physkin_core.outfit.outfit_options import add_avatar_options
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.first_model import NOTHING
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH
 
 __all__ = ["ADVICE", "DEFAULT_MINUTES", "FEWEST_STEPS", "add_training_options", "checked_device", "command_parser"]
 
-DESCRIPTION = "From a garment mesh or a sewing pattern of one's own to a trained model and a report."
+DESCRIPTION = "Check, repair and train a garment mesh or a sewing pattern of your own, and write a report."
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
 """A GPU in minutes, a CPU overnight."""
 LEAST_MINUTES = {"cuda": 0.0, "cpu": 4.0}
@@ -33,44 +33,61 @@ def command_parser() -> argparse.ArgumentParser:
         "garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF; or a sewing pattern: JSON"
     )
     parser.add_argument(
-        "--edge-length", type=float, metavar="M", help=f"of the triangles of a pattern [m] (default {EDGE_LENGTH:g})"
+        "--edge-length",
+        type=float,
+        metavar="M",
+        help=f"edge length of the triangles that a pattern is cut into [m] (default {EDGE_LENGTH:g})",
     )
     add_avatar_options(parser, made_on=True)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors")
     parser.add_argument(
-        "--check-only", action="store_true", help="print the verdicts, write the repaired mesh and a picture, stop"
+        *("-o", "--output"),
+        type=Path,
+        required=True,
+        metavar="NAME.safetensors",
+        help="garment model to write; NAME.html is the report, and all else goes into the folder NAME",
+    )
+    parser.add_argument(
+        "--check-only",
+        action="store_true",
+        help="stop after the checks: print the verdicts, write the repaired mesh and a picture",
     )
     add_training_options(parser)
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on from the checkpoint of a stopped run, where there is one, with its steps and recipe",
+        help="continue from the checkpoint of a stopped run, if there is one, with its steps and recipe",
     )
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     return parser
 
 
 def add_training_options(parser: argparse.ArgumentParser) -> None:
     """Options of training a garment and of its report, also for a catalogue of garments."""
     parser.add_argument(
-        "--accept-placement", action="store_true", help="train though its place on the avatar is in doubt"
+        "--accept-placement",
+        action="store_true",
+        help="train even if the place of the garment on the avatar is in doubt",
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
-        "--minutes", type=float, help="that a garment takes, report included (default: 15 on a GPU, 480 on a CPU)"
+        "--minutes", type=float, help="minutes for a garment and its report (default: 15 on a GPU, 480 on a CPU)"
     )
-    length.add_argument("--steps", type=int, help="of training, instead of minutes; the report comes on top")
+    length.add_argument(
+        "--steps", type=int, help="training steps, instead of --minutes; the report takes additional time"
+    )
     parser.add_argument(
         "--from",
         metavar="NAME",
-        help=f"garment model whose networks training begins with, or {NOTHING} (default: the nearest shipped one)",
+        help=f"garment model to start training from, or {NOTHING} (default: the shipped one that is most like it)",
     )
-    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration to take all else from")
+    parser.add_argument("--recipe", type=Path, metavar="TOML", help="training configuration for everything else")
     parser.add_argument(
-        "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="while it trains (default 5)"
+        "--checkpoint-every", type=float, default=5.0, metavar="MINUTES", help="minutes between checkpoints (default 5)"
     )
-    parser.add_argument("--bodies", type=int, default=8, help="held-out bodies of the report's figures (default 8)")
-    parser.add_argument("--poses", type=int, default=64, help="poses a body of the report's figures (default 64)")
+    parser.add_argument("--bodies", type=int, default=8, help="bodies that the report measures on (default 8)")
+    parser.add_argument(
+        "--poses", type=int, default=64, help="poses that the report measures on each body (default 64)"
+    )
 
 
 def checked_device(options: argparse.Namespace) -> torch.device:

@@ -1,4 +1,4 @@
-"""`physkin learn-sway`: how a garment lags, swings and settles, learnt from walkers that are simulated for it."""
+"""`physkin learn-sway`: teach a garment to lag, swing and settle, from walkers that are simulated for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.output_file import check_folder, check_other_file
-from physkin_training.devices import DEFAULT_DEVICE, resolve_device
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
 from physkin_training.sway.export import exported
@@ -64,34 +64,38 @@ class SwayPlan:
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin learn-sway`."""
     plan = SwayPlan()
-    parser = argparse.ArgumentParser(prog="physkin learn-sway", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="physkin learn-sway", description=__doc__.split("`: ", 1)[1])
     parser.add_argument("garment", help="garment model file, or the name of a shipped one")
-    parser.add_argument("--bodies", type=int, default=plan.bodies, help="of training (default %(default)s)")
-    parser.add_argument("--walkers", type=int, default=plan.walkers, help="on each at once (default %(default)s)")
-    parser.add_argument("--rounds", type=int, default=plan.rounds, help="of all of these (default %(default)s)")
-    parser.add_argument("--seconds", type=float, default=plan.seconds, help="of each motion (default %(default)s)")
+    parser.add_argument(
+        "--bodies", type=int, default=plan.bodies, help="bodies to simulate walkers on (default %(default)s)"
+    )
+    parser.add_argument("--walkers", type=int, default=plan.walkers, help="walkers on each body (default %(default)s)")
+    parser.add_argument("--rounds", type=int, default=plan.rounds, help="motions of each walker (default %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=plan.seconds, help="length of each motion (default %(default)s)"
+    )
     parser.add_argument(
         "--held-above",
         type=float,
         default=plan.held_above,
         metavar="Z",
-        help="garment nodes above, in the canonical pose [m], as of a bodice, do not sway",
+        help="garment nodes above this height of the canonical pose [m] do not sway, such as those of a bodice",
     )
-    parser.add_argument("--steps", type=int, default=plan.steps, help="of learning (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=plan.steps, help="training steps (default %(default)s)")
     parser.add_argument(
         "--tuning-steps",
         type=int,
         default=plan.tuning_steps,
         metavar="STEPS",
-        help="of fine-tuning by the energies of cloth (default %(default)s)",
+        help="steps of fine-tuning by the energies of cloth (default %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=plan.seed, help="of bodies, motions and learning (default 0)")
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--seed", type=int, default=plan.seed, help="seed of bodies, motions and training (default 0)")
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     parser.add_argument(
         "--walkers-file",
         type=Path,
         metavar="FILE",
-        help="walkers are kept here (.safetensors) once they are simulated, and taken from here where it is there",
+        help="keep the simulated walkers in this file (.safetensors), or take them from it if it exists",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="garment model file to write")
     return parser

@@ -15,7 +15,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_training.config import ConfigError, load_config
-from physkin_training.devices import DEFAULT_DEVICE
+from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP
 from physkin_training.networks.carried_sway import carried_sway
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
@@ -38,27 +38,40 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin train", description=__doc__.split("`: ", 1)[1])
     parser.add_argument("--config", type=Path, required=True, help="training configuration (TOML)")
     parser.add_argument(
-        "--garment", type=Path, metavar="MESH", help="in place of the configuration's; the model has the mesh's name"
+        "--garment",
+        type=Path,
+        metavar="MESH",
+        help="garment mesh, instead of the configuration's; the model gets its name",
     )
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     start = parser.add_mutually_exclusive_group()
-    start.add_argument("--resume", type=Path, metavar="FOLDER", help="go on from this checkpoint")
+    start.add_argument("--resume", type=Path, metavar="FOLDER", help="continue from the checkpoint in this folder")
     start.add_argument(
-        "--start-from", type=Path, metavar="PATH", help="new run from the networks of this checkpoint or model"
+        "--start-from", type=Path, metavar="PATH", help="start a new run from the networks of this checkpoint or model"
     )
-    parser.add_argument("--device", default=DEFAULT_DEVICE)
+    parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     parser.add_argument(
         "--minutes",
         type=_finite_minutes,
-        help="choose the number of steps so that the run takes so long on this machine (to resume, give it again)",
+        help="choose the number of steps so that the run takes this long (give it again with --resume)",
     )
     parser.add_argument(
-        "--stop-after", type=_minutes, default=math.inf, metavar="MINUTES", help="then write a checkpoint and stop"
+        "--stop-after",
+        type=_minutes,
+        default=math.inf,
+        metavar="MINUTES",
+        help="write a checkpoint and stop after so many minutes",
     )
     parser.add_argument(
-        "--checkpoint-every", type=_minutes, default=5.0, metavar="MINUTES", help="default 5; inf for none on the way"
+        "--checkpoint-every",
+        type=_minutes,
+        default=5.0,
+        metavar="MINUTES",
+        help="minutes between checkpoints (default 5; inf: only at the end)",
     )
-    parser.add_argument("--log-every", type=_steps, default=200, metavar="STEPS")
+    parser.add_argument(
+        "--log-every", type=_steps, default=200, metavar="STEPS", help="steps between lines of the log (default 200)"
+    )
     return parser
 
 
