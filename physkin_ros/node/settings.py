@@ -173,7 +173,7 @@ class AvatarSettings:
     )
     sway: float = _key(
         1.0,
-        "how much cloth lags, swings and settles. At 0 each joint state is draped by itself",
+        "how much cloth lags, swings and settles, from 0 to 1. At 0 each joint state is draped by itself",
         changes=True,
         low=0,
         high=1,
