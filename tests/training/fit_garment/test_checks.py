@@ -199,6 +199,15 @@ def moebius(v, f):
     return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, a + s], 1)])
 
 
+def panels(v, f):
+    """Front and back of a shirt as they were cut, upright before and behind the trunk."""
+    x, y = np.meshgrid(np.linspace(-0.28, 0.28, 29), np.linspace(-0.1, 0.5, 31))
+    corner = (np.arange(30)[:, None] * 29 + np.arange(28)).reshape(-1)
+    faces = np.concatenate([corner[:, None] + [0, 1, 30], corner[:, None] + [0, 30, 29]])
+    points = [np.column_stack([np.full(x.size, away), x.ravel(), y.ravel()]) for away in (0.2, -0.2)]
+    return np.concatenate(points), np.concatenate([faces, faces[:, ::-1] + x.size])
+
+
 def book(v, f):
     """A third sheet along many edges."""
     third = v[f[::20]].mean(axis=1) + [0.01, 0, 0]
@@ -235,6 +244,7 @@ WARNED = [
 ]
 REFUSED = [
     (closed, "openings", "it is closed"),
+    (panels, "openings", "2 flat pieces that are not sewn together"),
     (moebius, "winding", "only one side"),
     (lambda v, f: ((v - v.mean(0)) * [0.75, 0.75, 1] + v.mean(0), f), "overlap", "vertices in the body"),
     (lambda v, f: (1e5 * v, f), "units", "longest extent"),

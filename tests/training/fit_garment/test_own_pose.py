@@ -154,9 +154,14 @@ def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path
     assert np.abs(worn.vertices.mean(axis=0) - made.vertices.mean(axis=0)).max() < 0.02
     trimesh.Trimesh(lying + [0, 0.6, 0], faces, process=False).export(tmp_path / "beside.obj", digits=7)
     beside = [*command, str(tmp_path / "beside.obj"), "-o", str(output)]
+    (tmp_path / "out" / "garment.obj").unlink()
     assert main(beside) == 1
-    assert "position is in doubt: not on the avatar as it lies" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "position is in doubt: not on the avatar as it lies" in told.err
+    assert "edge length" in told.out and "overlap" not in told.out, "what takes minutes waits for --accept-placement"
+    assert not (tmp_path / "out" / "garment.obj").exists()
     assert main([*beside, "--accept-placement"]) == 0
+    assert (tmp_path / "out" / "garment.obj").exists()
 
 
 def test_a_glb_has_its_own_pose(tmp_path):

@@ -138,6 +138,10 @@ def test_panels_that_repairs_have_squashed_are_told_of():
     (verdict,) = checks.verdicts
     assert verdict.outcome == "warning" and "dropped, it rests as it lies: after repairs texture" in verdict.found
     assert "face 200 has" in verdict.found
+    checks = Checks(1.1 * squashed, band.faces, np.zeros((0, 2, 3)))  # carried to a larger body afterwards
+    assert np.isnan(check_rest_shape(checks, look, band.vertices, squashed).uv).all()
+    (verdict,) = checks.verdicts
+    assert verdict.outcome == "warning" and "the texture coordinates with it: after repairs texture" in verdict.found
 
 
 def test_panels_are_laid_out_at_given_edges():

@@ -51,11 +51,20 @@ class CheckedGarment:
         return next((verdict for verdict in self.verdicts if verdict.outcome == outcome), None)
 
 
-def check_garment(mesh: MeshFile, avatar: Avatar, template: Avatar, *, own: OwnPose | None = None) -> CheckedGarment:
+def check_garment(
+    mesh: MeshFile,
+    avatar: Avatar,
+    template: Avatar,
+    *,
+    own: OwnPose | None = None,
+    accept_placement: bool = True,
+) -> CheckedGarment:
     """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
     template: the training template's garment body; a garment made on another body is carried over to it.
+    accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
+    the garment stays where it lies.
     """
     return check_mesh(
         mesh.vertices,
@@ -66,6 +75,7 @@ def check_garment(mesh: MeshFile, avatar: Avatar, template: Avatar, *, own: OwnP
         look=mesh.look,
         line_elements=mesh.line_elements,
         own=own,
+        accept_placement=accept_placement,
     )
 
 
@@ -79,6 +89,7 @@ def check_mesh(
     look: Look | None = None,
     line_elements: np.ndarray | None = None,
     own: OwnPose | None = None,
+    accept_placement: bool = True,
 ) -> CheckedGarment:
     """Check vertices (n, 3), in any unit and axes, and faces (f, 3); see `check_garment`.
 
@@ -114,7 +125,9 @@ def check_mesh(
             mesh_checks.check_edges,
         ],
     )
-    lying = checks.vertices
+    lying, no_creases = checks.vertices, np.zeros((0, 2), dtype=int)
+    if checks.refused or (checks.unsure and not accept_placement):
+        return CheckedGarment(lying, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, no_creases)
     _run(
         checks,
         [
@@ -130,7 +143,7 @@ def check_mesh(
             mesh_checks.check_self_intersection,
         ],
     )
-    creases = np.zeros((0, 2), dtype=int)
+    creases = no_creases
     if not checks.refused:
         look = check_rest_shape(checks, look.on(source, lying, checks.faces), lying, made)
         creases = creases_along(lying, checks.faces, checks.lines)

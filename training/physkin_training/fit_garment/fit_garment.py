@@ -113,7 +113,7 @@ def _fit(options: argparse.Namespace) -> int:
         mesh, own = sewn_mesh(options.garment, avatar, body_model.rig, edge_length=edge_length, device=device), None
     else:
         mesh = read_mesh(options.garment)
-    checked = check_garment(mesh, avatar, template, own=own)
+    checked = check_garment(mesh, avatar, template, own=own, accept_placement=options.accept_placement)
     if checked.refused:
         refused = checked.first("refused")
         print(in_lines([verdict for verdict in checked.verdicts if verdict is not refused]))
@@ -124,6 +124,17 @@ def _fit(options: argparse.Namespace) -> int:
         return REFUSED
     folder = output.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
+    picture = folder / "placement.png"
+    unsure = checked.first("unsure")
+    if unsure and not options.accept_placement:
+        print(in_lines(checked.verdicts))
+        _draw(picture, checked, avatar, None, own)
+        print(
+            f"error: {options.garment}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one "
+            f"scene, with one origin, unit and up axis; or, if {picture} is right, --accept-placement",
+            file=sys.stderr,
+        )
+        return REFUSED
     mesh = folder / "garment.obj"
     write_garment(mesh, checked)
     garment = load_garment(mesh)
@@ -134,16 +145,8 @@ def _fit(options: argparse.Namespace) -> int:
         print(f"{verdict.check}: {verdict.found}")
     kept = f" with {checked.look}" if str(checked.look) else ""
     print(f"wrote {mesh}{kept}")
-    unsure = checked.first("unsure")
     if unsure or options.check_only:
-        _draw(folder / "placement.png", checked, avatar, template, own)
-    if unsure and not options.accept_placement:
-        print(
-            f"error: {options.garment}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one "
-            f"scene, with one origin, unit and up axis; or, if {folder / 'placement.png'} is right, --accept-placement",
-            file=sys.stderr,
-        )
-        return REFUSED
+        _draw(picture, checked, avatar, template, own)
     if options.check_only:
         return 0
     model = first_model(mesh, likeness, name=output.stem)
@@ -155,7 +158,7 @@ def _fit(options: argparse.Namespace) -> int:
     return _train_and_report(options, checked, mesh, model, template, avatar, device, budget)
 
 
-def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> None:
+def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar | None, own: OwnPose | None) -> None:
     try:
         save_png(path, placement_picture(checked, avatar, template, own))
         print(f"wrote {path}: see whether front, height and sleeves are right")

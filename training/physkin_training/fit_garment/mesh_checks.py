@@ -40,6 +40,8 @@ SMALL_LOOP = 0.1
 """[m] an opening with less boundary than this is a hole."""
 ONE_WAY = 0.8
 """Length of the mean normal around a loop: from 0 (around a limb) to 1; a wide neckline has 0.7."""
+FLAT = 0.98
+"""Length of the mean normal of a piece that is flat."""
 MOST_MISSING = 0.03
 """Share of the area that holes may have."""
 LAYER_REACH = 0.006
@@ -115,6 +117,8 @@ def check_openings(checks: Checks) -> None:
     openings, holes = openings_and_holes(checks.vertices, checks.faces)
     if not openings:
         found = f"{len(holes)} holes only" if holes else "it is closed"
+        if (flat := _flat_pieces(checks.mesh)) > 1:
+            found = f"{flat} flat pieces that are not sewn together (give a sewing pattern as GarmentCode's JSON)"
         return checks.say("openings", "refused", f"{found}: no opening to get into it", allowed)
     found = f"{len(openings)} openings"
     if not holes:
@@ -136,6 +140,14 @@ def openings_and_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[list[np
         one_way = float(np.linalg.norm(normals[loop].mean(axis=0)))
         (holes if around < SMALL_LOOP or one_way > ONE_WAY else openings).append(loop)
     return openings, holes
+
+
+def _flat_pieces(mesh: trimesh.Trimesh) -> int:
+    """How many connected pieces there are if the cloth of each faces one way, else 0."""
+    label, areas = mesh_repair.face_components(mesh.faces), mesh.area_faces
+    normals = [np.bincount(label, weights=areas * axis) for axis in mesh.face_normals.T]
+    one_way = np.linalg.norm(normals, axis=0) / np.bincount(label, weights=areas)
+    return len(one_way) if one_way.min() > FLAT else 0
 
 
 def _area_inside(loop: np.ndarray) -> float:

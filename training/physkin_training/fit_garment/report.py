@@ -234,19 +234,25 @@ def _image(picture: np.ndarray) -> str:
     return f'<img src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}" alt="">'
 
 
-def placement_picture(checked: CheckedGarment, avatar: Avatar, template: Avatar, own: OwnPose | None) -> np.ndarray:
+def placement_picture(
+    checked: CheckedGarment, avatar: Avatar, template: Avatar | None, own: OwnPose | None
+) -> np.ndarray:
     """Front and back, (h, w, 3) uint8: on the avatar as the garment lies there, below on the template as it is trained.
 
-    own: the avatar in its own pose, None where no avatar was given. Raises PictureError without the [view] extra.
+    template: None for a garment whose place is in doubt, which was not carried there. own: the avatar in its own pose,
+    None where no avatar was given; one of the two is there. Raises PictureError without the [view] extra.
     """
-    cloth = Mesh(checked.vertices, checked.faces, CLOTH_COLOUR)
-    trained = front_and_back([avatar_mesh(template, template.vertices), cloth])
-    if own is None:
-        return contact_sheet(trained, columns=2, captions=["as it is trained", "back"])
-    body = own.vertices if checked.in_own_pose else avatar.vertices
-    lying = front_and_back([avatar_mesh(avatar, body), Mesh(checked.lying, checked.faces, CLOTH_COLOUR)])
-    captions = ["on the avatar as it lies" if checked.in_own_pose else "on the avatar, where it was placed", "back"]
-    return contact_sheet(lying + trained, columns=2, captions=[*captions, "on the template, as it is trained", "back"])
+    images, captions = [], []
+    if own is not None:
+        body = own.vertices if checked.in_own_pose else avatar.vertices
+        images += front_and_back([avatar_mesh(avatar, body), Mesh(checked.lying, checked.faces, CLOTH_COLOUR)])
+        place = "as it lies" if checked.in_own_pose else "where it was placed"
+        captions += [f"on the avatar, {place}", "back"]
+    if template is not None:
+        cloth = Mesh(checked.vertices, checked.faces, CLOTH_COLOUR)
+        images += front_and_back([avatar_mesh(template, template.vertices), cloth])
+        captions += ["on the template, as it is trained", "back"]
+    return contact_sheet(images, columns=2, captions=captions)
 
 
 def front_and_back(meshes: Sequence[Mesh]) -> list[np.ndarray]:

@@ -43,8 +43,17 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
     def panels_at(vertices: np.ndarray, uv: np.ndarray):
         return panels_of_texture(vertices, checks.faces, face_areas(vertices, checks.faces), uv)
 
+    def dropped(why: str) -> Look:
+        """Of a mesh that was carried to another body: there they may look like panels by accident."""
+        found = f"dropped, and the texture coordinates with it: {why}"
+        checks.say("flat rest shape", "warning", found, allowed)
+        return replace(look, uv=np.full_like(look.uv, np.nan))
+
     panels, found = panels_at(lying, look.uv)
     if panels is not None and made is not checks.vertices:
+        repaired, refused = panels_at(made, look.uv)
+        if repaired is None:
+            return dropped(f"after repairs {refused}; keep it clear of the body where it was sewn")
         places, panel_faces = panels
         cut = Garment(made, checks.faces, None, places, panel_faces)
         wanted = cut.reshaped(checks.vertices).rest_edges
@@ -55,9 +64,7 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         )
         panels, refused = panels_at(checks.vertices, uv)
         if panels is None:
-            found = f"dropped, and the texture coordinates with it: graded to the template, {refused}"
-            checks.say("flat rest shape", "warning", found, allowed)
-            return replace(look, uv=np.full_like(look.uv, np.nan))
+            return dropped(f"graded to the template, {refused}")
         found += f"; graded to the template, edges by {changed:.1f} %, to {off:.1f} % of what the mesh says"
         checks.say("flat rest shape", "repaired", _described(panels, found), allowed)
         return replace(look, uv=uv)

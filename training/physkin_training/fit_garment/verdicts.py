@@ -43,6 +43,11 @@ class Checks:
         return bool(self.verdicts) and self.verdicts[-1].outcome == "refused"
 
     @property
+    def unsure(self) -> bool:
+        """Whether something was found that only the user can tell to be right."""
+        return any(verdict.outcome == "unsure" for verdict in self.verdicts)
+
+    @property
     def mesh(self) -> trimesh.Trimesh:
         """What is so far, for its areas, normals and edges."""
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
