@@ -62,35 +62,36 @@ ClothDents::ClothDents(const BoundGarment& g, const std::vector<SkinPart>& skin,
       middle_rows_(padded_to_points(cloth_.blocks())),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(nodes_))),
       matrices_(arena.take<float>(12 * std::size_t(nodes_))),
+      positions_(arena.take<float>(3 * std::size_t(rows_))),
+      is_near_(arena.take<bool>(std::size_t(cloth_.blocks()))),
       carriers_each_(g.dent.influences),
-      carrying_nodes_(arena.copy(g.dent.influence_nodes, std::size_t(cloth_.count()) * carriers_each_)),
-      carrying_weights_(arena.copy(g.dent.influence_weights, std::size_t(cloth_.count()) * carriers_each_)),
-      carrier_(arena.copy(carriers(g.dent).data(), std::size_t(cloth_.count()))),
+      carrying_nodes_(cloth_.in_order(g.dent.influence_nodes, carriers_each_, arena)),
+      carrying_weights_(cloth_.in_order(g.dent.influence_weights, carriers_each_, arena)),
+      carrier_(cloth_.in_order(carriers(g.dent).data(), 1, arena)),
       detail_influences_(g.dent.detail_influences),
-      influence_nodes_(arena.copy(g.dent.detail_nodes, std::size_t(cloth_.count()) * detail_influences_)),
-      influence_weights_(arena.copy(g.dent.detail_weights, std::size_t(cloth_.count()) * detail_influences_)),
-      detail_nodes_(arena.copy(g.dent_nodes, std::size_t(cloth_.count()))),
-      shares_(arena.copy(g.dent_shares, std::size_t(cloth_.count()))),
+      influence_nodes_(cloth_.in_order(g.dent.detail_nodes, detail_influences_, arena)),
+      influence_weights_(cloth_.in_order(g.dent.detail_weights, detail_influences_, arena)),
+      detail_nodes_(cloth_.in_order(g.dent_nodes, 1, arena)),
+      shares_(cloth_.in_order(g.dent_shares, 1, arena)),
       middle_carrier_(arena.take<std::int32_t>(std::size_t(cloth_.blocks()))),
       middle_rest_(arena.take<float>(3 * std::size_t(cloth_.blocks()))),
       middles_(arena.take<float>(3 * std::size_t(middle_rows_))),
       radius_(arena.take<float>(std::size_t(cloth_.blocks()))),
       is_moved_(arena.take<bool>(std::size_t(cloth_.blocks()))),
       beyond_(arena.take<float>(std::size_t(std::max(middle_rows_, rows_)))) {
+  const float* vertices = cloth_.in_order(g.dent.vertices, 3, arena);
   for (int block = 0; block < cloth_.blocks(); ++block) {
     Vector3 middle{0, 0, 0};
-    const auto at = [&](int lane) {
-      return load_vector(g.dent.vertices + 3 * std::ptrdiff_t(cloth_.sample(block, lane)));
-    };
-    for (int lane = 0; lane < cloth_.size(block); ++lane)
-      middle = middle + (1.0f / float(cloth_.size(block))) * at(lane);
-    int nearest = 0;
-    for (int lane = 0; lane < cloth_.size(block); ++lane) {
-      const Vector3 away = at(lane) - middle, least = at(nearest) - middle;
-      if (dot(away, away) < dot(least, least)) nearest = lane;
+    const int begin = kBlock * block, end = cloth_.end(block);
+    const auto at = [&](int sample) { return load_vector(vertices + 3 * sample); };
+    for (int s = begin; s < end; ++s) middle = middle + (1.0f / float(end - begin)) * at(s);
+    int nearest = begin;
+    for (int s = begin; s < end; ++s) {
+      const Vector3 away = at(s) - middle, least = at(nearest) - middle;
+      if (dot(away, away) < dot(least, least)) nearest = s;
       radius_[block] = std::max(radius_[block], std::sqrt(dot(away, away)) + kDetail);
     }
-    middle_carrier_[block] = carrier_[cloth_.sample(block, nearest)];
+    middle_carrier_[block] = carrier_[nearest];
     const float rest[] = {middle.x, middle.y, middle.z};
     std::copy_n(rest, 3, middle_rest_ + 3 * block);
   }
@@ -109,6 +110,8 @@ ClothDents::ClothDents(const BoundGarment& g, const std::vector<SkinPart>& skin,
   room_ = arena.take<float>(rows);
   sums_ = arena.take<float>(4 * std::size_t(cloth_.count()));
   chosen_ = arena.take<std::int32_t>(rows);
+  is_asked_ = arena.take<bool>(std::size_t(cloth_.count()));
+  asked_ = arena.take<std::int32_t>(std::size_t(cloth_.count()));
   moves_ = arena.take<float>(std::size_t(detail_numbers_));
   dented_ = arena.take<float>(std::size_t(detail_numbers_));
 }
@@ -117,10 +120,14 @@ const float* ClothDents::dent(const SkinGuard& guard, const float* node_transfor
   place_middles(node_transforms);
   if (!find_near(guard)) return offsets;
   skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
+  for (; asked_count_ > 0; --asked_count_) {
+    const int s = asked_[asked_count_ - 1];
+    std::fill_n(sums_ + 4 * s, 4, 0.0f);
+    is_asked_[s] = false;
+  }
+  cloth_.begin(offsets);
   for (int block = 0; block < cloth_.blocks(); ++block) {
-    if (!is_near(block)) continue;
-    cloth_.place(block, matrices_, offsets);
-    for (int lane = 0; lane < cloth_.size(block); ++lane) std::fill_n(sums_ + 4 * cloth_.sample(block, lane), 4, 0.0f);
+    if (is_near_[block]) cloth_.place(block, matrices_, positions_);
   }
   const auto any_near = [](const Part& part) { return part.any_near; };
   if (std::any_of(arms_.begin(), arms_.end(), any_near)) find_ways();
@@ -149,10 +156,11 @@ void ClothDents::place_middles(const float* node_transforms) noexcept {
 bool ClothDents::find_near(const SkinGuard& guard) noexcept {
   for (int block = 0; block < cloth_.blocks() && guard.any_moved(); ++block) {
     is_moved_[block] = false;
-    for (int lane = 0; lane < cloth_.size(block); ++lane) {
-      is_moved_[block] |= guard.moved(carrier_[cloth_.sample(block, lane)]) > kMoved;
+    for (int s = kBlock * block; s < cloth_.end(block); ++s) {
+      is_moved_[block] |= guard.moved(carrier_[s]) > kMoved;
     }
   }
+  std::fill_n(is_near_, cloth_.blocks(), false);
   bool any = false;
   for (auto* parts : {&body_, &arms_}) {
     for (Part& part : *parts) {
@@ -163,16 +171,12 @@ bool ClothDents::find_near(const SkinGuard& guard) noexcept {
         const bool reaches = beyond_[block] < radius_[block] * (radius_[block] + 2 * part.widest);
         part.near[block] = reaches && (part.skin.presses || is_moved_[block]);
         part.any_near |= part.near[block];
+        is_near_[block] |= part.near[block];
       }
       any |= part.any_near;
     }
   }
   return any;
-}
-
-bool ClothDents::is_near(int block) const noexcept {
-  const auto near = [&](const Part& part) { return part.any_near && part.near[block]; };
-  return std::any_of(body_.begin(), body_.end(), near) || std::any_of(arms_.begin(), arms_.end(), near);
 }
 
 void ClothDents::find_ways() noexcept {
@@ -222,9 +226,9 @@ int ClothDents::look_up(const Part& part, May may) noexcept {
   int count = 0;
   for (int block = 0; block < cloth_.blocks(); ++block) {
     if (!part.near[block]) continue;
-    for (int lane = 0; lane < cloth_.size(block); ++lane) {
-      chosen_[count] = cloth_.sample(block, lane);
-      count += may(chosen_[count]);
+    for (int s = kBlock * block; s < cloth_.end(block); ++s) {
+      chosen_[count] = s;
+      count += may(s);
     }
   }
   kernels_.axis_beyond(part.skin.axis, part.widths, part.skin.field.bones, points_, gather(count), beyond_);
@@ -240,7 +244,7 @@ int ClothDents::look_up(const Part& part, May may) noexcept {
 int ClothDents::gather(int count) noexcept {
   const int rows = padded_to_points(count);
   for (int axis = 0; axis < 3; ++axis) {
-    const float* from = cloth_.positions() + axis * rows_;
+    const float* from = positions_ + axis * rows_;
     for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[chosen_[std::min(k, count - 1)]];
   }
   return rows;
@@ -249,6 +253,8 @@ int ClothDents::gather(int count) noexcept {
 // What is asked by more than one part counts by how much it is.
 void ClothDents::ask(int sample, float length, Vector3 way) noexcept {
   float* sum = sums_ + 4 * sample;
+  if (!is_asked_[sample]) asked_[asked_count_++] = sample;
+  is_asked_[sample] = true;
   sum[0] += length * length * way.x;
   sum[1] += length * length * way.y;
   sum[2] += length * length * way.z;
@@ -278,28 +284,26 @@ void ClothDents::press(const Part& arm) noexcept {
     const float depth = contacts_[k];
     if (!(depth > -kReach)) continue;
     // In the arm's cross section: how far along the way out, how far aside, and how wide the arm is.
-    const Vector3 at = back.linear * cloth_.at(chosen_[k]) + back.translation;
-    const float x = at.x - field.x, y = at.y - field.y, square = x * x + y * y;
-    const float along = (x * way.x + y * way.y) / across, aside = std::sqrt(std::max(square - along * along, 0.0f));
-    const float radius = std::sqrt(square) + depth + kGap, over = aside - radius;
+    const Vector3 seen = back.linear * at(chosen_[k]) + back.translation;
+    const float x = seen.x - field.x, y = seen.y - field.y, square = x * x + y * y;
+    const float along = (x * way.x + y * way.y) / across, radius = std::sqrt(square) + depth + kGap;
+    if (along > std::fabs(radius)) continue;  // beyond the arm on its way
+    const float aside = std::sqrt(std::max(square - along * along, 0.0f)), over = aside - radius;
     const float within = over < 0 ? radius * radius - aside * aside : 0;
     const float exit = std::sqrt(within + kEdge * kEdge) - kEdge;
     const float least = over < 0 ? 1 : std::max(1 - over / kAside, 0.0f);
     const float wanted = least * std::max(exit - along, 0.0f) / flat;
     const float faded = std::min((depth + kReach) / (kReach - kFull), 1.0f);
     const float asked = faded * (wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft);
-    ask(chosen_[k], asked, arm.towards);
+    if (asked > 0) ask(chosen_[k], asked, arm.towards);
   }
 }
 
 int ClothDents::choose_asked() noexcept {
   int count = 0;
-  for (int block = 0; block < cloth_.blocks(); ++block) {
-    if (!is_near(block)) continue;
-    for (int lane = 0; lane < cloth_.size(block); ++lane) {
-      chosen_[count] = cloth_.sample(block, lane);
-      count += sums_[4 * chosen_[count] + 3] > kLeast;
-    }
+  for (int k = 0; k < asked_count_; ++k) {
+    chosen_[count] = asked_[k];
+    count += sums_[4 * asked_[k] + 3] > kLeast;
   }
   return count;
 }

@@ -41,7 +41,6 @@ class ClothDents {
   void place_middles(const float* node_transforms) noexcept;
   // Whether any block is near a part that it may be moved by.
   bool find_near(const SkinGuard& guard) noexcept;
-  bool is_near(int block) const noexcept;
   void find_ways() noexcept;
   // What cloth that is near an arm, or another part of the skin, is to be moved by.
   void press(const Part& arm) noexcept;
@@ -51,8 +50,12 @@ class ClothDents {
   // number.
   template <class May>
   int look_up(const Part& part, May may) noexcept;
-  // Samples that something is asked of. Their number.
+  // Samples that something is asked of, into chosen_. Their number.
   int choose_asked() noexcept;
+  // Where a sample was placed last.
+  Vector3 at(int sample) const {
+    return {positions_[sample], positions_[rows_ + sample], positions_[2 * rows_ + sample]};
+  }
   // Lessens what arms ask of cloth to the room that there is.
   void keep_room() noexcept;
   int gather(int count) noexcept;
@@ -69,6 +72,8 @@ class ClothDents {
   std::vector<Part> body_, arms_;
   const float* node_rest_;  // (nodes, 3)
   float* matrices_;         // (nodes, 3, 4)
+  float* positions_;        // (3, rows)
+  bool* is_near_;           // (blocks,) any part that it may be moved by
   int carriers_each_;
   const std::int32_t* carrying_nodes_;  // (samples, carriers each) garment nodes
   const float* carrying_weights_;       // (samples, carriers each)
@@ -90,8 +95,11 @@ class ClothDents {
   float* room_;                          // (rows,)
   float* sums_;                          // (samples, 4) what is asked of each, as vectors and by how much they count
   std::int32_t* chosen_;                 // (rows,) samples
-  float* moves_;                         // (detail numbers,) in the root frame, zeros between frames
-  float* dented_;                        // (detail numbers,)
+  bool* is_asked_;                       // (samples,) whether something has been asked of one, and those asked_count_
+  std::int32_t* asked_;                  // (samples,)
+  int asked_count_ = 0;
+  float* moves_;   // (detail numbers,) in the root frame, zeros between frames
+  float* dented_;  // (detail numbers,)
 };
 
 }  // namespace physkin

@@ -1,11 +1,11 @@
 #include "evaluator/cloth_samples.hpp"
 
-#include <algorithm>
-
 #include "evaluator/skin_part.hpp"
 
 namespace physkin {
 namespace {
+
+static_assert(kBlock % kTrunkPoints == 0, "positions are looked up in whole calls of the kernels");
 
 SkinningData as_vertices(const BoundGarment& g, const ClothSampling& of) {
   SkinningData data;
@@ -25,38 +25,24 @@ SkinningData as_vertices(const BoundGarment& g, const ClothSampling& of) {
   return data;
 }
 
-// Views of each block by itself.
-std::vector<SkinningBlocks> one_by_one(const SkinningBlocks& all) {
-  std::vector<SkinningBlocks> blocks;
-  for (int block = 0; block < all.block_count; ++block) {
-    SkinningBlocks& one = blocks.emplace_back(all);
-    one.vertex_count = std::min(all.vertex_count - block * kBlock, kBlock);
-    one.block_count = 1;
-    one.influences += 2 * std::ptrdiff_t(block);
-    one.rest += std::ptrdiff_t(block) * 6 * kBlock;
-    one.vertex += std::ptrdiff_t(block) * kBlock;
-    if (one.details != nullptr) one.details += 2 * std::ptrdiff_t(block);
-  }
-  return blocks;
-}
-
 }  // namespace
 
 ClothSamples::ClothSamples(const BoundGarment& g, const ClothSampling& of, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
-      count_(of.samples),
-      rows_(padded_to_points(count_)),
-      blocks_(one_by_one(pack_skinning_blocks(as_vertices(g, of), arena))),
-      skinned_(arena.take<float>(3 * std::size_t(count_))),
-      positions_(arena.take<float>(3 * std::size_t(rows_))) {}
+      blocks_(pack_skinning_blocks(as_vertices(g, of), arena)),
+      is_at_rest_(arena.take<bool>(std::size_t(blocks()))),
+      at_rest_(arena.take<float>(3 * std::size_t(rows()))) {}
 
-void ClothSamples::place(int block, const float* matrices, const float* offsets) noexcept {
-  const SkinningBlocks& one = blocks_[block];
-  kernels_.skin(one, matrices, offsets, {reinterpret_cast<unsigned char*>(skinned_), 3, false});
-  for (int lane = 0; lane < one.vertex_count; ++lane) {
-    const std::ptrdiff_t s = one.vertex[lane];
-    for (int axis = 0; axis < 3; ++axis) positions_[axis * rows_ + s] = skinned_[3 * s + axis];
-  }
+void ClothSamples::begin(const float* offsets) noexcept {
+  offsets_ = offsets;
+  std::fill_n(is_at_rest_, blocks(), false);
+}
+
+void ClothSamples::place(int block, const float* matrices, float* positions) noexcept {
+  float* at_rest = at_rest_ + 3 * std::ptrdiff_t(kBlock) * block;
+  if (!is_at_rest_[block]) kernels_.rest(blocks_, block, offsets_, at_rest);
+  is_at_rest_[block] = true;
+  kernels_.place(blocks_, block, matrices, at_rest, positions + std::ptrdiff_t(kBlock) * block, rows());
 }
 
 }  // namespace physkin

@@ -1,7 +1,7 @@
 // Places of a garment that are looked at before it is skinned, in blocks that lie together.
 #pragma once
 
-#include <vector>
+#include <algorithm>
 
 #include "evaluator/affine.hpp"
 #include "evaluator/skinner.hpp"
@@ -11,29 +11,44 @@
 
 namespace physkin {
 
+// Samples are counted block by block, kBlock each; only the last block may be short of some.
 class ClothSamples {
  public:
   // The data must be valid; they are copied into the arena.
   ClothSamples(const BoundGarment& garment, const ClothSampling& sampling, const Kernels& kernels, Arena& arena);
 
-  int count() const { return count_; }
-  int rows() const { return rows_; }  // count, to whole calls of the kernels that look points up
-  int blocks() const { return int(blocks_.size()); }
-  // Samples of a block: their number, and each by its lane.
-  int size(int block) const { return blocks_[block].vertex_count; }
-  int sample(int block, int lane) const { return blocks_[block].vertex[lane]; }
-  // Places a block's samples. matrices as of `skinning_matrices`; offsets (detail nodes, 3), null without detail.
-  void place(int block, const float* matrices, const float* offsets) noexcept;
-  // Where they were placed last: (3, rows), and one.
-  const float* positions() const { return positions_; }
-  Vector3 at(int sample) const { return load_vector(skinned_ + 3 * sample); }
+  int count() const { return blocks_.vertex_count; }
+  int blocks() const { return blocks_.block_count; }
+  int rows() const { return kBlock * blocks(); }
+  // The first sample after a block.
+  int end(int block) const { return std::min(kBlock * (block + 1), count()); }
+
+  // Values of the samples as they are given, (count, width), in the order that they are counted in here.
+  template <class Value>
+  const Value* in_order(const Value* values, int width, Arena& arena) const {
+    Value* ordered = arena.take<Value>(std::size_t(count()) * std::size_t(width));
+    for (int s = 0; s < count(); ++s) {
+      std::copy_n(values + std::ptrdiff_t(blocks_.vertex[s]) * width, width, ordered + std::ptrdiff_t(s) * width);
+    }
+    return ordered;
+  }
+
+  // What follows is of a frame with these offsets (detail nodes, 3), null without detail.
+  void begin(const float* offsets) noexcept;
+  // Where matrices, as of `skinning_matrices`, put the samples of a block: positions (3, rows), aligned.
+  void place(int block, const float* matrices, float* positions) noexcept;
+  // Where a sample of a block that has been placed in this frame is at rest, moved by offsets.
+  Vector3 at_rest(int sample) const {
+    const float* at = at_rest_ + 3 * kBlock * (sample / kBlock) + sample % kBlock;
+    return {at[0], at[kBlock], at[2 * kBlock]};
+  }
 
  private:
   const Kernels& kernels_;
-  int count_, rows_;
-  std::vector<SkinningBlocks> blocks_;  // of one block each
-  float* skinned_;                      // (count, 3)
-  float* positions_;
+  SkinningBlocks blocks_;
+  const float* offsets_ = nullptr;
+  bool* is_at_rest_;  // (blocks,) whether `at_rest_` is of this frame
+  float* at_rest_;    // (blocks, 3, kBlock)
 };
 
 }  // namespace physkin

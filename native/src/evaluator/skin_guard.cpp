@@ -32,51 +32,59 @@ bool none_below_zero(const float* values) {
   return signs >= 0;
 }
 
+// (nodes, blocks) which garment nodes carry a sample of which block.
+const bool* carried_blocks(const ClothSamples& cloth, const std::int32_t* influence_nodes, int influences, int nodes,
+                           Arena& arena) {
+  bool* carries = arena.take<bool>(std::size_t(nodes) * std::size_t(cloth.blocks()));
+  for (int at = 0; at < cloth.count() * influences; ++at) {
+    carries[influence_nodes[at] * cloth.blocks() + at / influences / kBlock] = true;
+  }
+  return carries;
+}
+
 }  // namespace
 
 SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(g.nodes),
       cloth_(g, g.guard, kernels, arena),
-      unswayed_cloth_(g, g.guard, kernels, arena),
       samples_(cloth_.count()),
       rows_(cloth_.rows()),
       influences_(g.guard.influences),
-      detail_influences_(g.guard.detail_influences),
       is_near_(arena.take<bool>(cloth_.blocks())),
-      block_of_(arena.take<std::int32_t>(samples_)),
+      is_carried_(arena.take<bool>(cloth_.blocks())),
+      has_changed_(arena.take<bool>(nodes_)),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(nodes_))),
       matrices_(arena.take<float>(12 * std::size_t(nodes_))),
-      rest_(arena.copy(g.guard.vertices, 3 * std::size_t(samples_))),
-      influence_nodes_(arena.copy(g.guard.influence_nodes, std::size_t(samples_) * influences_)),
-      influence_weights_(arena.copy(g.guard.influence_weights, std::size_t(samples_) * influences_)),
-      detail_nodes_(arena.copy(g.guard.detail_nodes, std::size_t(samples_) * detail_influences_)),
-      detail_weights_(arena.copy(g.guard.detail_weights, std::size_t(samples_) * detail_influences_)),
-      shares_(arena.copy(g.guard_shares, samples_)),
+      positions_(arena.take<float>(3 * std::size_t(rows_))),
+      unswayed_matrices_(arena.take<float>(12 * std::size_t(nodes_))),
+      unswayed_positions_(arena.take<float>(3 * std::size_t(rows_))),
+      influence_nodes_(cloth_.in_order(g.guard.influence_nodes, influences_, arena)),
+      influence_weights_(cloth_.in_order(g.guard.influence_weights, influences_, arena)),
+      carries_(carried_blocks(cloth_, influence_nodes_, influences_, nodes_, arena)),
+      shares_(cloth_.in_order(g.guard_shares, 1, arena)),
       beyond_(arena.take<float>(rows_)),
       points_(arena.take<float>(3 * std::size_t(rows_))),
       contacts_(arena.take<float>(4 * std::size_t(rows_))),
+      crossed_(arena.take<float>(std::size_t(rows_))),
       unswayed_(arena.take<float>(12 * std::size_t(nodes_))),
       lacks_(arena.take<Lack>(std::size_t(g.skin_parts) * samples_)),
       sway_(arena.take<float>(12 * std::size_t(nodes_))),
       stilled_(arena.take<float>(nodes_)),
       moved_(arena.take<float>(nodes_)),
       sums_(arena.take<float>(4 * std::size_t(nodes_))) {
-  for (int block = 0; block < cloth_.blocks(); ++block) {
-    for (int lane = 0; lane < cloth_.size(block); ++lane) block_of_[cloth_.sample(block, lane)] = block;
-  }
   for (std::size_t k = 0; k < skin.size(); ++k) {
     if (skin[k].presses) continue;
     const float* ways = g.guard_ways + k * 2 * samples_;
     const bool leads = std::any_of(ways, ways + 2 * samples_, [](float way) { return way != 0; });
     Part part{skin[k],
               {},
-              arena.copy(g.guard_gaps + k * samples_, samples_),
+              cloth_.in_order(g.guard_gaps + k * samples_, 1, arena),
               nullptr,
               leads ? kReach : kAside,
               arena.take<std::int32_t>(rows_ + 1),
               0};
-    if (leads) part.ways = arena.copy(ways, 2 * std::size_t(samples_));
+    if (leads) part.ways = cloth_.in_order(ways, 2, arena);
     for (int bone = 0; bone < kSkinBones; ++bone) part.widths[bone] = skin[k].widths[bone] + part.reach;
     parts_.push_back(part);
   }
@@ -84,13 +92,13 @@ SkinGuard::SkinGuard(const BoundGarment& g, const std::vector<SkinPart>& skin, c
 
 void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms, const Cloth& cloth,
                          float* node_transforms) noexcept {
-  offsets_ = cloth.detail_offsets;
   leads_far_ = true;
   const bool sways = cloth.corrections != cloth.still;
-  place_samples(node_transforms, true);
-  if (sways && hold_back(nodes, bone_transforms, cloth, node_transforms)) place_samples(node_transforms, true);
+  cloth_.begin(cloth.detail_offsets);
+  place_samples(node_transforms);
+  if (sways && hold_back(nodes, bone_transforms, cloth, node_transforms)) place_changed(node_transforms, true);
   for (int pass = 0; pass < kPasses; ++pass) {
-    if (pass > 0) place_samples(node_transforms, leads_far_);
+    if (pass > 0) place_changed(node_transforms, leads_far_);
     if (leads_far_) {
       for (Part& part : parts_) find_near(part);
     }
@@ -102,21 +110,34 @@ void SkinGuard::keep_out(const GarmentNodes& nodes, const float* bone_transforms
   }
 }
 
-void SkinGuard::place_samples(const float* node_transforms, bool all) noexcept {
+void SkinGuard::place_samples(const float* node_transforms) noexcept {
+  std::fill_n(has_changed_, nodes_, false);
+  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
+  for (int block = 0; block < cloth_.blocks(); ++block) cloth_.place(block, matrices_, positions_);
+}
+
+void SkinGuard::place_changed(const float* node_transforms, bool all) noexcept {
   std::fill_n(is_near_, cloth_.blocks(), all);
   if (!all) {
     for (const Part& part : parts_) {
-      for (int k = 0; k < part.near_count; ++k) is_near_[block_of_[part.near[k]]] = true;
+      for (int k = 0; k < part.near_count; ++k) is_near_[part.near[k] / kBlock] = true;
     }
   }
-  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
+  std::fill_n(is_carried_, cloth_.blocks(), false);
+  for (int i = 0; i < nodes_; ++i) {
+    if (!has_changed_[i]) continue;
+    has_changed_[i] = false;
+    skinning_matrices(node_transforms + 12 * i, node_rest_ + 3 * i, 1, matrices_ + 12 * i);
+    const bool* carries = carries_ + std::ptrdiff_t(i) * cloth_.blocks();
+    for (int block = 0; block < cloth_.blocks(); ++block) is_carried_[block] |= carries[block];
+  }
   for (int block = 0; block < cloth_.blocks(); ++block) {
-    if (is_near_[block]) cloth_.place(block, matrices_, offsets_);
+    if (is_near_[block] && is_carried_[block]) cloth_.place(block, matrices_, positions_);
   }
 }
 
 void SkinGuard::find_near(Part& part) noexcept {
-  kernels_.axis_beyond(part.skin.axis, part.widths, part.skin.field.bones, cloth_.positions(), rows_, beyond_);
+  kernels_.axis_beyond(part.skin.axis, part.widths, part.skin.field.bones, positions_, rows_, beyond_);
   part.near_count = 0;
   for (int first = 0; first < samples_; first += kTrunkPoints) {
     if (none_below_zero(beyond_ + first)) continue;
@@ -138,7 +159,7 @@ void SkinGuard::add_lacks(Part& part) noexcept {
   if (count == 0) return;
   std::fill_n(part.near + count, rows - count, part.near[count - 1]);
   for (int axis = 0; axis < 3; ++axis) {
-    const float* from = cloth_.positions() + axis * rows_;
+    const float* from = positions_ + axis * rows_;
     for (int k = 0; k < rows; ++k) points_[axis * rows + k] = from[part.near[k]];
   }
   kernels_.trunk_depth(part.skin.field, points_, rows, contacts_);
@@ -168,8 +189,8 @@ void SkinGuard::lead_back(const Part& part, int sample, float depth, Lack& lack)
   if (!(against > 0)) return;
   leads_far_ = true;
   const float turned = against * against * (3 - 2 * against);
-  const Vector3 at = back.linear * cloth_.at(sample) + back.translation;
-  const float x = at.x - part.skin.field.x, y = at.y - part.skin.field.y;
+  const Vector3 seen = back.linear * at(sample) + back.translation;
+  const float x = seen.x - part.skin.field.x, y = seen.y - part.skin.field.y;
   const Vector3 towards = normalized((1 - turned) * lack.normal + turned * out);
   const float tx = dot(towards, back.linear.rows[0]), ty = dot(towards, back.linear.rows[1]);
   const float flat = std::sqrt(tx * tx + ty * ty + 1e-6f), along = (x * tx + y * ty) / flat;
@@ -186,19 +207,19 @@ bool SkinGuard::hold_back(const GarmentNodes& nodes, const float* bone_transform
     store_affine(nodes.added(i, bone_transforms, cloth.corrections, cloth.still), sway_ + 12 * i);
   }
   for (int k = 0; k < 12 * nodes_; ++k) unswayed_[k] = node_transforms[k] - sway_[k];
-  skinning_matrices(unswayed_, node_rest_, nodes_, matrices_);
-  for (int block = 0; block < cloth_.blocks(); ++block) unswayed_cloth_.place(block, matrices_, offsets_);
+  skinning_matrices(unswayed_, node_rest_, nodes_, unswayed_matrices_);
+  for (int block = 0; block < cloth_.blocks(); ++block) cloth_.place(block, unswayed_matrices_, unswayed_positions_);
+  std::fill_n(crossed_, rows_, 0.0f);
+  for (const Part& part : parts_) {
+    kernels_.axis_crossed(part.skin.axis, part.skin.widths, part.skin.field.bones, unswayed_positions_, positions_,
+                          rows_, crossed_);
+  }
   std::fill_n(stilled_, nodes_, 0.0f);
   bool crosses = false;
-  for (const Part& part : parts_) {
-    float* crossed = contacts_;
-    kernels_.axis_crossed(part.skin.axis, part.skin.widths, part.skin.field.bones, unswayed_cloth_.positions(),
-                          cloth_.positions(), rows_, crossed);
-    for (int s = 0; s < samples_; ++s) {
-      if (!(crossed[s] > 0)) continue;
-      still(s, shares_[s] * crossed[s]);
-      crosses = true;
-    }
+  for (int s = 0; s < samples_; ++s) {
+    if (!(crossed_[s] > 0)) continue;
+    still(s, shares_[s] * crossed_[s]);
+    crosses = true;
   }
   if (!crosses) return false;
   take_away(node_transforms);
@@ -218,6 +239,7 @@ void SkinGuard::still(int sample, float share) noexcept {
 void SkinGuard::take_away(float* node_transforms) noexcept {
   for (int i = 0; i < nodes_; ++i) {
     if (!(stilled_[i] > 0)) continue;
+    has_changed_[i] = true;
     for (int k = 0; k < 12; ++k) node_transforms[12 * i + k] -= stilled_[i] * sway_[12 * i + k];
   }
 }
@@ -242,10 +264,7 @@ void SkinGuard::sway_less(float* node_transforms) noexcept {
 }
 
 Vector3 SkinGuard::swayed(int sample) const noexcept {
-  Vector3 rest = load_vector(rest_ + 3 * sample);
-  for (int k = detail_influences_ * sample; k < detail_influences_ * (sample + 1); ++k) {
-    rest = rest + detail_weights_[k] * load_vector(offsets_ + 3 * std::ptrdiff_t(detail_nodes_[k]));
-  }
+  const Vector3 rest = cloth_.at_rest(sample);
   Vector3 moved{0, 0, 0};
   for (int k = influences_ * sample; k < influences_ * (sample + 1); ++k) {
     const int node = influence_nodes_[k];
@@ -277,6 +296,7 @@ void SkinGuard::move_nodes(float* node_transforms) noexcept {
     if (!(sum[3] > kLeast)) continue;
     const Vector3 by = (1 / sum[3]) * load_vector(sum);
     moved_[i] = std::sqrt(dot(by, by));
+    has_changed_[i] = true;
     node_transforms[12 * i + 3] += by.x;
     node_transforms[12 * i + 7] += by.y;
     node_transforms[12 * i + 11] += by.z;

@@ -60,11 +60,16 @@ class SkinGuard {
     float cost;
   };
 
-  // All samples, or only those in a block with one that is near a part.
-  void place_samples(const float* node_transforms, bool all) noexcept;
+  void place_samples(const float* node_transforms) noexcept;
+  // Those that garment nodes which have changed since carry: all, or only those in a block with one near a part.
+  void place_changed(const float* node_transforms, bool all) noexcept;
   void find_near(Part& part) noexcept;
   // What samples lack. Whether any lacks something.
   bool find_lacks() noexcept;
+  // Where a sample was placed last.
+  Vector3 at(int sample) const {
+    return {positions_[sample], positions_[rows_ + sample], positions_[2 * rows_ + sample]};
+  }
   // Of those near a part, and keeps those that may after a move.
   void add_lacks(Part& part) noexcept;
   // Of a hem that a folding shin has passed the skin's normal leads to the wrong side: turns it, and what is lacking.
@@ -84,23 +89,22 @@ class SkinGuard {
 
   const Kernels& kernels_;
   int nodes_;
-  ClothSamples cloth_, unswayed_cloth_;
-  int samples_, rows_, influences_, detail_influences_;
-  bool* is_near_;                   // (blocks,)
-  std::int32_t* block_of_;          // (samples,)
-  const float* node_rest_;          // (nodes, 3)
-  float* matrices_;                 // (nodes, 3, 4)
-  const float* offsets_ = nullptr;  // of detail nodes in this frame
-  const float* rest_;               // (samples, 3)
+  ClothSamples cloth_;
+  int samples_, rows_, influences_;
+  bool *is_near_, *is_carried_;   // (blocks,) a sample of it near a part; and by garment nodes that have changed
+  bool* has_changed_;             // (nodes,)
+  const float* node_rest_;        // (nodes, 3)
+  float *matrices_, *positions_;  // (nodes, 3, 4), and where they put samples, (3, rows)
+  float *unswayed_matrices_, *unswayed_positions_;  // the same without sway
   const std::int32_t* influence_nodes_;
   const float* influence_weights_;
-  const std::int32_t* detail_nodes_;
-  const float* detail_weights_;
+  const bool* carries_;  // (nodes, blocks) whether a garment node carries a sample of it
   const float* shares_;  // (samples,)
   std::vector<Part> parts_;
   float* beyond_;  // (rows,) squared [m2], below zero within the width of a part
   float* points_;  // (3, rows) of those near a part, and (4, rows) what the kernel says of them
   float* contacts_;
+  float* crossed_;   // (rows,)
   float* unswayed_;  // (nodes, 3, 4) transforms without sway
   Lack* lacks_;      // lack_count_ of them, at most (parts * samples)
   int lack_count_ = 0;

@@ -20,6 +20,8 @@ const Kernels kernels{
      {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
+    rest,
+    place,
     ring_normals,
     trunk_depth,
     axis_beyond,

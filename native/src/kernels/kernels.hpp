@@ -130,6 +130,13 @@ struct Kernels {
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 
+  // The same in two steps, of one block, where it is skinned more than once in a frame: where its vertices are at rest, x,
+  // y and z (3, kBlock), moved by offsets; and where matrices put them from there, `apart` floats from one coordinate to
+  // the next. Aligned.
+  void (*rest)(const SkinningBlocks& blocks, int block, const float* offsets, float* at_rest);
+  void (*place)(const SkinningBlocks& blocks, int block, const float* matrices, const float* at_rest, float* positions,
+                std::ptrdiff_t apart);
+
   // Writes places, and unit normals of the faces around each, weighted by their areas; +Z where they cancel out.
   void (*ring_normals)(FaceRings rings, VertexRows rows);
 
@@ -142,9 +149,9 @@ struct Kernels {
   void (*axis_beyond)(const float* axis, const float* widths, int stretches, const float* points, int count,
                       float* beyond);
 
-  // Of ways from points to others, both (3, count) as above, the share (count,) that is to go so that none leads through
-  // the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin inside go
-  // on.
+  // Of ways from points to others, both (3, count) as above, raises to the share (count,) that is to go so that none leads
+  // through the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin
+  // inside go on.
   void (*axis_crossed)(const float* axis, const float* widths, int stretches, const float* from, const float* to,
                        int count, float* crossed);
 

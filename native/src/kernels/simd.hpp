@@ -9,6 +9,8 @@
 
 #if defined(__aarch64__)
 #include <arm_neon.h>
+#elif defined(__x86_64__)
+#include <immintrin.h>
 #endif
 
 namespace physkin::PHYSKIN_ISA {
@@ -45,6 +47,21 @@ inline Floats widened(const std::int16_t* integers) {
 // The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.
 inline Floats at_least(Floats v, float limit) { return v < limit ? Floats{} + limit : v; }
 inline Floats at_most(Floats v, float limit) { return v > limit ? Floats{} + limit : v; }
+
+// Whether a comparison holds anywhere.
+inline bool any(Ints holds) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi32_mask((__m512i)holds, (__m512i)holds) != 0;
+#elif defined(__AVX2__)
+  return _mm256_movemask_ps((__m256)holds) != 0;
+#elif defined(__x86_64__)
+  return _mm_movemask_ps((__m128)holds) != 0;
+#elif defined(__aarch64__)
+  return vmaxvq_u32((uint32x4_t)holds) != 0;
+#else
+  return (holds[0] | holds[1] | holds[2] | holds[3]) != 0;
+#endif
+}
 
 // exp(v), relative error below 2e-7; v is clamped to [-87, 88], where the result is a normal float.
 inline Floats exponential(Floats v) {
