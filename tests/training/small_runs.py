@@ -12,6 +12,8 @@ import numpy as np
 from random_models import random_model, tube
 
 from physkin_core import Garment, GarmentModel, load_body_model
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.mesh_file import MeshFile
 from physkin_training.config import (
     DetailConfig,
     GarmentNodeConfig,
@@ -31,6 +33,11 @@ SIZES = NetworkConfig(
     feed_forward=16,
     residual_blocks=1,
 )
+
+
+def mesh_of(vertices: np.ndarray, faces: np.ndarray) -> MeshFile:
+    """As it is read from a file of shape alone."""
+    return MeshFile(vertices, faces, 0, Look.plain(len(faces)))
 
 
 def write_belly_band(path: Path) -> None:

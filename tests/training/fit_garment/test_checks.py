@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 from random_models import cape, tube
+from training.small_runs import mesh_of
 
 from physkin_core import load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
-from physkin_training.fit_garment.checks import CheckedGarment, check_garment, check_mesh, write_garment
+from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.fitting import CLEARANCE, carried
 from physkin_training.fit_garment.verdicts import in_lines
 from physkin_training.physics.surface_queries import BodySurface
@@ -105,10 +106,10 @@ def dented(v, f):
 )
 def test_defects_are_found_and_repaired(spoil, words, shirt, template):
     words = dict(part.split(": ", 1) for part in words.split(" | "))
-    checked = check_mesh(*spoil(*shirt()), template, template)
+    checked = check_garment(mesh_of(*spoil(*shirt())), template, template)
     assert outcomes(checked) == dict.fromkeys(words, "repaired")
     assert all(text in found(checked, check) for check, text in words.items())
-    again = check_mesh(checked.vertices, checked.faces, template, template)
+    again = check_garment(mesh_of(checked.vertices, checked.faces), template, template)
     assert outcomes(again) == {}
     vertices, _ = shirt()
     assert checked.vertices.shape == vertices.shape
@@ -123,7 +124,7 @@ def test_defects_are_found_and_repaired(spoil, words, shirt, template):
 
 def test_of_cloth_with_a_thickness_the_outer_sheet_is_kept(shirt, template):
     """All of it, and no more."""
-    checked = check_mesh(*thick(*shirt()), template, template)
+    checked = check_garment(mesh_of(*thick(*shirt())), template, template)
     assert outcomes(checked)["one layer"] == "repaired" and "a thickness" in found(checked, "one layer")
     vertices, faces = shirt()
     assert abs(len(checked.faces) - len(faces)) < 0.01 * len(faces)
@@ -134,7 +135,7 @@ def test_of_cloth_with_a_thickness_the_outer_sheet_is_kept(shirt, template):
 def test_a_mesh_from_anywhere_is_put_on_the_body(shirt, template):
     """No usual origin: the place is searched, which is warned of, and found to about a centimetre."""
     vertices, faces = shirt()
-    checked = check_mesh(1000 * (vertices @ Y_UP.T + [0.3, 0.5, -0.2]), faces, template, template)
+    checked = check_garment(mesh_of(1000 * (vertices @ Y_UP.T + [0.3, 0.5, -0.2]), faces), template, template)
     expected = {"units": "repaired", "orientation": "repaired", "position": "warning", "overlap": "repaired"}
     assert outcomes(checked) == expected
     assert "front and height" in found(checked, "position")
@@ -143,7 +144,7 @@ def test_a_mesh_from_anywhere_is_put_on_the_body(shirt, template):
 
 def test_coarse_triangles_are_refined_on_the_same_surface(template):
     band = tube(rings=5, segments=24, radius=1.0, height=0.2)
-    checked = check_mesh(band.vertices * [0.2, 0.24, 1.0] + [0, 0, 0.1], band.faces, template, template)
+    checked = check_garment(mesh_of(band.vertices * [0.2, 0.24, 1.0] + [0, 0, 0.1], band.faces), template, template)
     assert outcomes(checked)["edge length"] == "repaired"
     assert len(checked.faces) == 16 * len(band.faces)
 
@@ -257,14 +258,14 @@ REFUSED = [
 
 @pytest.mark.parametrize(("spoil", "check", "words"), WARNED)
 def test_what_may_be_meant_is_warned_of(spoil, check, words, shirt, template):
-    checked = check_mesh(*spoil(*shirt()), template, template)
+    checked = check_garment(mesh_of(*spoil(*shirt())), template, template)
     assert outcomes(checked)[check] == ("repaired" if check == "manifold" else "warning")
     assert words in found(checked, check)
 
 
 @pytest.mark.parametrize(("spoil", "check", "words"), REFUSED)
 def test_what_cannot_be_repaired_is_refused(spoil, check, words, shirt, template):
-    checked = check_mesh(*spoil(*shirt()), template, template)
+    checked = check_garment(mesh_of(*spoil(*shirt())), template, template)
     last = checked.verdicts[-1]
     assert checked.refused and (last.check, last.outcome) == (check, "refused") and words in last.found
 
@@ -273,19 +274,19 @@ def test_a_loose_garment_is_not_upside_down(shirt, template):
     """Its neckline leaves the neck where it lies, yet settles on the shoulders; turned over, it is found to be so."""
     vertices, faces = shirt()
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    checked = check_mesh(1.18 * (vertices - middle) + middle, faces, template, template)
+    checked = check_garment(mesh_of(1.18 * (vertices - middle) + middle, faces), template, template)
     assert not checked.refused and outcomes(checked)["scale"] == "warning"
-    checked = check_mesh((vertices - middle) * [1.18, -1.18, -1.18] + middle, faces, template, template)
+    checked = check_garment(mesh_of((vertices - middle) * [1.18, -1.18, -1.18] + middle, faces), template, template)
     assert checked.refused and checked.verdicts[-1].check == "upright"
 
 
 def test_a_cape_may_be_far_from_the_body_where_it_hangs_from_the_shoulders(template):
     """The same cloth 35 cm higher lies nowhere."""
     cloth = cape()
-    checked = check_mesh(cloth.vertices, cloth.faces, template, template)
+    checked = check_garment(mesh_of(cloth.vertices, cloth.faces), template, template)
     assert not checked.refused and "mean distance to the body 12" in found(checked, "position")
     assert outcomes(checked).keys() <= {"edge length", "overlap"}
-    checked = check_mesh(cloth.vertices + [0, 0, 0.35], cloth.faces, template, template)
+    checked = check_garment(mesh_of(cloth.vertices + [0, 0, 0.35], cloth.faces), template, template)
     assert checked.refused and checked.verdicts[-1].check == "position"
 
 
@@ -299,11 +300,11 @@ def test_a_garment_of_another_body_is_carried_over(shirt, template):
     assert np.linalg.norm(there - vertices, axis=1).max() > 0.02
     assert np.linalg.norm(carried(there, tall, template) - vertices, axis=1).mean() < 0.005
     on_tall = BodySurface(tall.vertices, tall.faces).push_out(there, 0.005)
-    checked = check_mesh(on_tall, faces, tall, template)
+    checked = check_garment(mesh_of(on_tall, faces), tall, template)
     assert not checked.refused
     assert outcomes(checked)["body"] == "warning" and "another body" in found(checked, "body")
     assert np.linalg.norm(checked.vertices - vertices, axis=1).mean() < 0.02
-    assert outcomes(check_mesh(checked.vertices, checked.faces, template, template)) == {}
+    assert outcomes(check_garment(mesh_of(checked.vertices, checked.faces), template, template)) == {}
 
 
 def test_quads_are_cut(tmp_path, template):

@@ -10,7 +10,7 @@ from training.small_runs import write_belly_band
 
 from physkin_core import load_garment
 from physkin_core.mesh.mesh_file import read_mesh
-from physkin_training.fit_garment.checks import check_mesh, write_garment
+from physkin_training.fit_garment.checks import check_garment, write_garment
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_an_obj_keeps_its_look(band, template, tmp_path):
     upper = write_textured_obj(tmp_path, vertices, faces)
     mesh = read_mesh(tmp_path / "band.obj")
     assert str(mesh.look) == "UVs, 2 materials, 2 parts"
-    checked = check_mesh(mesh.vertices, mesh.faces, template, template, look=mesh.look)
+    checked = check_garment(mesh, template, template)
     assert not checked.refused
     (tmp_path / "out").mkdir()
     write_garment(tmp_path / "out" / "garment.obj", checked)
@@ -84,7 +84,7 @@ def test_a_glb_of_two_meshes_keeps_its_look(band, template, tmp_path):
     scene.export(tmp_path / "band.glb")
     mesh = read_mesh(tmp_path / "band.glb")
     assert len(mesh.vertices) == len(vertices) and str(mesh.look) == "UVs, 2 materials, 2 parts"
-    checked = check_mesh(mesh.vertices, mesh.faces, template, template, look=mesh.look)
+    checked = check_garment(mesh, template, template)
     write_garment(tmp_path / "garment.obj", checked)
     again = read_mesh(tmp_path / "garment.obj")
     assert sorted(again.look.parts) == ["hem", "yoke"] and sorted(again.look.materials) == ["hem_cloth", "yoke_cloth"]

@@ -13,7 +13,7 @@ import trimesh
 from gltf_person import load_document, person_document
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from training.small_runs import write_belly_band
+from training.small_runs import mesh_of, write_belly_band
 
 from physkin_core import Garment, load_body_model, load_garment
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
@@ -21,7 +21,7 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.cli import main
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning
-from physkin_training.fit_garment.checks import check_mesh
+from physkin_training.fit_garment.checks import check_garment
 from physkin_training.fit_garment.fitting import carried
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import find_lying
@@ -200,12 +200,12 @@ def a_patch_gone(v, f):
 def test_upside_down_is_refused(name, template):
     """Where it is put on all the same, as without an avatar."""
     garment = load_garment(GARMENTS / f"{name}.obj")
-    checked = check_mesh(*upside_down(garment.vertices, garment.faces), template, template)
+    checked = check_garment(mesh_of(*upside_down(garment.vertices, garment.faces)), template, template)
     assert checked.refused and checked.verdicts[-1].check in ("upright", "position")
 
 
 @pytest.mark.parametrize("spoil", [a_tenth_gone, a_patch_gone])
 def test_missing_faces_are_refused(spoil, template):
     garment = load_garment(GARMENTS / "tshirt.obj")
-    last = check_mesh(*spoil(garment.vertices, garment.faces), template, template).verdicts[-1]
+    last = check_garment(mesh_of(*spoil(garment.vertices, garment.faces)), template, template).verdicts[-1]
     assert (last.check, last.outcome) == ("openings", "refused") and "faces are missing" in last.found

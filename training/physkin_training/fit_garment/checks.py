@@ -21,7 +21,7 @@ from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_al
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 from physkin_training.physics.surface_queries import BodySurface
 
-__all__ = ["CheckedGarment", "check_garment", "check_mesh", "write_garment"]
+__all__ = ["CheckedGarment", "check_garment", "write_garment"]
 
 
 @dataclass(frozen=True)
@@ -65,44 +65,13 @@ def check_garment(
     template: the training template's garment body; a garment made on another body is carried over to it.
     accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
     the garment stays where it lies.
+
+    Checks stop at the first refusal after which the others would mean nothing.
     """
-    return check_mesh(
-        mesh.vertices,
-        mesh.faces,
-        avatar,
-        template,
-        polygons=mesh.polygons,
-        look=mesh.look,
-        line_elements=mesh.line_elements,
-        own=own,
-        accept_placement=accept_placement,
-    )
-
-
-def check_mesh(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    avatar: Avatar,
-    template: Avatar,
-    *,
-    polygons: int = 0,
-    look: Look | None = None,
-    line_elements: np.ndarray | None = None,
-    own: OwnPose | None = None,
-    accept_placement: bool = True,
-) -> CheckedGarment:
-    """Check vertices (n, 3), in any unit and axes, and faces (f, 3); see `check_garment`.
-
-    polygons: how many faces of more than three corners the triangles came from. look: default none. line_elements:
-    (k, 2) vertices that creases run between, default none. Checks stop at the first refusal after which the others
-    would mean nothing.
-    """
-    vertices = np.array(vertices, dtype=np.float64)
-    lines = np.zeros((0, 2, 3)) if line_elements is None else vertices[line_elements]
-    checks = Checks(vertices, np.array(faces, dtype=np.int64), lines)
-    look = look or Look.plain(len(faces))
+    vertices, look = np.array(mesh.vertices, dtype=np.float64), mesh.look
+    checks = Checks(vertices, np.array(mesh.faces, dtype=np.int64), vertices[mesh.line_elements])
     canonical = surface = BodySurface(avatar.vertices, avatar.faces)
-    _run(checks, [partial(mesh_checks.check_triangles, polygons=polygons)])
+    _run(checks, [partial(mesh_checks.check_triangles, polygons=mesh.polygons)])
     in_own_pose = False
     if own is not None and not checks.refused:
         surface = BodySurface(own.vertices, own.faces)
