@@ -1,4 +1,4 @@
-"""Files from outside, which may be broken, endless or malicious: opened safely, limited, and refused in one sentence.
+"""Reads files from outside, which may be broken, endless or malicious, within limits, or refuses them in one sentence.
 
 A reader raises `ContentError` for what is wrong with a file's content; `reading`, at the reader's edge, says which file
 it is and makes all else that goes wrong the same kind of sentence.

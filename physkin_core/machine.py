@@ -1,4 +1,4 @@
-"""What ran a measurement: the machine, and versions of what matters."""
+"""Where a measurement was made: the machine, and the versions that matter."""
 
 from __future__ import annotations
 

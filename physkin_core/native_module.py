@@ -1,4 +1,4 @@
-"""The module in C++, `physkin_core._native`, imported in one place so that its absence is explained in one."""
+"""Imports the C++ module, `physkin_core._native`, and explains if it is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a file can be written where a command is told to: asked before the work that it is for."""
+"""Checks that an output file can be written, before a command begins its work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is painted on surfaces of a picture once light is traced: stitches, which are finer than light paths.
+"""Paints stitches onto a picture after light is traced, as they are too fine for light paths.
 
 Each pixel of a painted surface that is seen where the picture has cloth takes the paint's colour in the cloth's light.
 Dimensions: `h`, `w` height and width of the picture [pixels], `q` pairs of a face and a pixel.

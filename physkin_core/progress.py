@@ -1,4 +1,4 @@
-"""How far something that takes long has come, for commands: a line with the time left."""
+"""Progress of long commands: a line with the time that is left."""
 
 from __future__ import annotations
 

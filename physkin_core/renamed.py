@@ -1,4 +1,4 @@
-"""Public names that the last release spelled otherwise: each is refused by a sentence that gives today's name.
+"""Public names that have changed since the last release: each old one is refused by a sentence that gives the new one.
 
 The tables are emptied at the next release.
 """

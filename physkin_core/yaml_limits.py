@@ -1,4 +1,4 @@
-"""Limits to YAML from outside: an alias stands for what may hold aliases itself, a few lines for gigabytes."""
+"""Limits for YAML from outside, in which a few lines of nested aliases may stand for gigabytes."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How garments sit on an avatar, before anyone has seen them move."""
+"""Measures and judges how garments sit on an avatar: `physkin check`."""

@@ -123,8 +123,8 @@ def _print(report: dict) -> None:
             f"  at rest   {rest['inside_percent']:.2f} % of the cloth inside the body, {rest['deepest_mm']:.0f} mm deep"
         )
         print(
-            f"            {found['skin_shows_percent']:.2f} % of the skin that it should cover shows; collar or waist "
-            f"{found['stands_off_mm']:.0f} mm from the skin"
+            f"            {found['skin_shows_percent']:.2f} % of the skin that it should cover can be seen; collar or "
+            f"waistband {found['stands_off_mm']:.0f} mm from the skin"
         )
         print(
             f"  everyday  {everyday['inside_percent']:.2f} % inside, {everyday['deepest_mm']:.0f} mm deep, "
@@ -132,12 +132,12 @@ def _print(report: dict) -> None:
         )
     known = report["likeness"]
     print(
-        f"body: {known['shape_deviation']:.1f} standard deviations from the average adult (1 is usual), its skin "
-        f"{known['skin_distance_mm']:.0f} mm from the most similar known body\n"
-        f"      {known['longest_bone']} has {known['longest_ratio']:.2f} times that body's length, "
-        f"{known['pivot_bone']} is {known['pivot_distance_mm']:.0f} mm from that body's\n"
-        f"      {report['body_overlap_percent']:.1f} % of the skin is inside the body; holes show its inside in "
-        f"{report['hole_percent']:.2f} % of the pixels"
+        f"body: {known['shape_deviation']:.1f} standard deviations from the average adult (about 1 is usual)\n"
+        f"      most similar body that training knows: its skin is {known['skin_distance_mm']:.0f} mm away, joint "
+        f"{known['pivot_bone']} {known['pivot_distance_mm']:.0f} mm, bone {known['longest_bone']} is "
+        f"{known['longest_ratio']:.2f} times as long here\n"
+        f"      {report['body_overlap_percent']:.1f} % of the skin lies inside the body; its inside is seen through "
+        f"holes in {report['hole_percent']:.2f} % of the pixels"
     )
     print(" ".join(filter(None, (f"{report['verdict']}:", report["reason"], report["advice"]))))
 

@@ -1,1 +1,1 @@
-"""What `physkin doctor` looks at: does this installation work, and what is to be done where it does not?"""
+"""What `physkin doctor` looks at: whether this installation works, and what to do if it does not."""

@@ -121,11 +121,11 @@ def garment_looks(paths: Sequence[Path], outfit: Outfit) -> list[Look | None]:
         layer, name = outfit.layers[k], outfit.layers[k].name
         if apart[k] > LIES_ON:
             raise ValueError(
-                f"{path} is no mesh of a garment worn: {name} is the closest, {1000 * apart[k]:.0f} mm off on average, "
-                f"at most {1000 * LIES_ON:.0f} are allowed; give garment.obj as fit-garment wrote it, with its look"
+                f"{path} lies on no garment that is worn: {name} is the closest, {1000 * apart[k]:.0f} mm off on "
+                f"average; allowed are {1000 * LIES_ON:.0f} mm; give the garment.obj that fit-garment wrote"
             )
         if k in seen:
-            raise ValueError(f"{path} is a second look for {name}; a garment has one")
+            raise ValueError(f"{path} is a second mesh of materials for {name}; a garment has one")
         given = layer.model.garment.vertices[layer.visible]
         seen.add(k)
         look, flat = mesh.look.on((mesh.vertices, mesh.faces), given, layer.faces), looks[k]

@@ -72,8 +72,8 @@ def _not_shown(garment: DrapedGarment) -> list[str]:
     if garment.morphs.turns is not None:
         average = garment.lacking.sum() / (len(lacking) * len(garment.given.vertices))
         return [
-            f"{garment.name} is {1000 * average:.2f} mm off on average, {1000 * lacking.max():.1f} mm at most, as its "
-            f"folds are in {len(garment.morphs.targets)} morph targets; a .usdc has it exactly"
+            f"{garment.name} is {1000 * average:.2f} mm off on average, {1000 * lacking.max():.1f} mm at most, because "
+            f"{len(garment.morphs.targets)} morph targets hold its folds; a .usdc is exact"
         ]
     if lacking.max() < TOO_FAR:
         return []

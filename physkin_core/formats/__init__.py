@@ -1,1 +1,1 @@
-"""Mesh files read into arrays, whatever they are of; what is wrong with one is a `ContentError`."""
+"""Reads mesh files into arrays, of avatars and garments alike; a faulty file raises a `ContentError`."""

@@ -1,1 +1,1 @@
-"""Bodies, garments and motion read by a process of their own: a damaged or endless file costs a request, no more."""
+"""Reads bodies, garments and motion in a separate process: a damaged or endless file only makes its request fail."""

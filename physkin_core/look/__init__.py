@@ -1,1 +1,1 @@
-"""What avatars and garments look like: materials, texture coordinates, and colours read off pictures."""
+"""What avatars and garments look like: materials, texture coordinates, and colours taken from pictures."""

@@ -1,1 +1,1 @@
-"""Motion: clips of joint positions, and recordings of other skeletons carried over to the rig."""
+"""Motion: clips of joint positions, and recordings of other skeletons retargeted to the rig."""

@@ -76,7 +76,7 @@ def bind_outfit(
             body_hidden = always.body
             layers = [replace(layer, hidden=mask) for layer, mask in zip(layers, always.cloth)]
         else:
-            worth_saying.append("everyday poses are of the default rig: with this one nothing is hidden")
+            worth_saying.append("everyday poses are known for the default rig only: with this rig no cloth is left out")
         layers = [_giving_visible(layer) for layer in layers] if hide_covered else layers
         orders = _orders(layers, cloth, tucks)
         moved = {order.yielding for order in orders}

@@ -1,1 +1,1 @@
-"""Other representations of a garment, carried by its trained garment nodes: meshes, point clouds, Gaussian splats."""
+"""Other meshes, point clouds and Gaussian splats that a garment's trained garment nodes move."""

@@ -1,1 +1,1 @@
-"""The rig: bones and named joints, the canonical A-pose, and which bone of another naming is which of ours."""
+"""The rig: bones and named joints, the canonical A-pose, and how bones of other skeletons map to its bones."""

@@ -1,1 +1,1 @@
-"""Draping: a garment model bound to one avatar once, then one call of the evaluator in C++ a frame."""
+"""Draping: binds a garment model to an avatar once, then calls the C++ evaluator once per frame."""

@@ -1,1 +1,1 @@
-"""Arms and legs moved out of the trunk and of each other, by joint positions changed as little as that takes."""
+"""Moves arms and legs out of the trunk and out of each other, with the smallest change of joint positions."""

@@ -1,1 +1,1 @@
-"""Cloth that lags, swings and settles: what a frame is given of gravity, time and a root that moves."""
+"""Cloth that lags, swings and settles: what each frame needs of gravity, time, wind and the moving root."""

@@ -1,1 +1,1 @@
-"""A process of its own for work that may end it: requests go in, plain values and arrays come out."""
+"""A separate process for work that may crash it: requests go in, plain values and arrays come out."""

@@ -1,1 +1,1 @@
-"""From the joint states of any sender to the joint positions of the rig. Needs no ROS."""
+"""Turns joint states of any sender into joint positions of the rig. Needs no ROS."""

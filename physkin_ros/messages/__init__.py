@@ -1,1 +1,1 @@
-"""What a frame looks like as a message."""
+"""Turns frames into messages."""

@@ -1,1 +1,1 @@
-"""What concerns DDS and the executor: domains, shared memory, discovery of subscribers, spinning."""
+"""DDS and the executor: domains, shared memory, discovery of subscribers, spinning."""

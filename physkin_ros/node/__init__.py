@@ -1,1 +1,1 @@
-"""The ROS node: parameters, streams of joint states in and clouds out, swaps while running, diagnostics."""
+"""The ROS node: parameters, joint states in and clouds out, changes while it runs, diagnostics."""

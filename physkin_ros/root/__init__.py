@@ -1,1 +1,1 @@
-"""What messages say of an avatar's root: which way gravity points in it, how it moves, and where it is in the world."""
+"""What messages tell about an avatar's root: where gravity points, how the root moves, where it is in the world."""

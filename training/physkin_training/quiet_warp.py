@@ -1,4 +1,4 @@
-"""Warp without its own lines: neither a banner, nor one for each module that it compiles or loads."""
+"""Imports Warp without its banner, and without a line for each module that it compiles or loads."""
 
 from __future__ import annotations
 

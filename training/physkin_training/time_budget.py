@@ -1,4 +1,4 @@
-"""The minutes that a user gives a whole command: what is left of them, and what a part of the work may take."""
+"""The minutes that a user gives a command: how many are left, and how many a part of the work may take."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What the page of `physkin view` shows, without a browser: who wears what, in which pose, and how well."""
+"""What the page of `physkin view` shows, apart from the browser: who wears what, in which pose, and how well."""

@@ -178,7 +178,9 @@ def test_detail_is_in_morph_targets(tmp_path, folded, motion, monkeypatch, capsy
 
     def exported(output):
         assert main(["export", "walk", "-g", path, "--rate", f"{RATE:g}", "-o", str(output)]) == 0
-        told = r"folded is (\S+) mm off on average, (\S+) mm at most, as its folds are in (\d+) morph targets; a \.usdc"
+        told = (
+            r"folded is (\S+) mm off on average, (\S+) mm at most, because (\d+) morph targets hold its folds; a \.usdc"
+        )
         return Reader(output), [float(number) for number in re.search(told, capsys.readouterr().err).groups()]
 
     reader, (mean, most, targets) = exported(tmp_path / "walk.glb")

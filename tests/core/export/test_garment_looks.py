@@ -252,7 +252,7 @@ def plain(folder, model):
     [
         (
             far_off,
-            r"is no mesh of a garment worn: longsleeve is the closest, \d\d mm off on average, at most 2 are allowed",
+            r"lies on no garment that is worn: longsleeve is the closest, \d\d mm off on average; allowed are 2 mm",
         ),
         (plain, "has neither texture coordinates nor materials"),
         (lambda *to: write_look(*to, files={}), "the picture of material 'knit' is missing: 'knit.png'"),
@@ -288,7 +288,7 @@ def test_looks_that_cannot_be_used_are_told(tmp_path, shirt, worn, write, told):
 
 def test_a_garment_has_one_look(tmp_path, shirt, worn):
     path = write_look(tmp_path / "look", shirt, vertices=shirt.garment.vertices + [0, 0, LIES_ON / 2])
-    with pytest.raises(ValueError, match="is a second look for longsleeve"):
+    with pytest.raises(ValueError, match="is a second mesh of materials for longsleeve"):
         garment_looks([path, path], worn)
 
 

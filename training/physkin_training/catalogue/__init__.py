@@ -1,1 +1,1 @@
-"""A folder of garments trained on a Ray cluster: planning, one garment, the cluster, the page."""
+"""Trains a folder of garments on a Ray cluster: the plan, each garment, the cluster, the page."""

@@ -1,1 +1,1 @@
-"""Cloth with inertia: implicit Euler on the full mesh, the reference that motion of its own is measured against."""
+"""Cloth with inertia: implicit Euler on the full mesh, the reference that sway is compared with."""

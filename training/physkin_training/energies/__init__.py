@@ -1,1 +1,1 @@
-"""The energies of cloth, one a file: value, gradient and second derivative, as Warp kernels written by hand."""
+"""The energies of cloth, one in each file: value, gradient and second derivative, as Warp kernels."""

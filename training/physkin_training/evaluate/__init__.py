@@ -1,1 +1,1 @@
-"""What a garment is worth: figures on held-out bodies and motion, minima, simulated drapes, contact sheets."""
+"""Measures garments: figures on held-out bodies and motion, minima, simulated drapes, contact sheets."""

@@ -1,1 +1,1 @@
-"""A garment of one's own: checked, mended, laid on the body, trained and reported on."""
+"""Garments of your own: checks and repairs a mesh, lays it on the body, trains it, writes a report."""

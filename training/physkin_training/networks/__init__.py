@@ -1,1 +1,1 @@
-"""The networks in torch, how they drape a garment, and their way into a model file and back."""
+"""The networks in torch, how they drape a garment, and how they are written to a model file and read."""

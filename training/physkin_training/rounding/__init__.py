@@ -1,1 +1,1 @@
-"""Networks rounded to as few steps as figures allow."""
+"""Rounds networks as coarsely as the figures allow."""

@@ -1,1 +1,1 @@
-"""From a sewing pattern to a garment: read, triangulated, hung about the body, sewn and relaxed."""
+"""Turns a sewing pattern into a garment: reads it, cuts it into triangles, hangs it about the body, sews it."""

@@ -1,1 +1,1 @@
-"""A sway network: walkers are simulated in the numbers of their garment nodes, and what their clothes do is learnt."""
+"""Sway networks: simulates walkers by their garment nodes, and trains a network on how their clothes move."""
