@@ -50,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
     if not len(late):
         raise BagError(f"bag {bag.path} holds no message on {bag.topic}")
     p50, p99 = np.percentile(late, (50, 99))
-    print(f"sent {len(late)} messages, late by p50 {p50:.3f} ms, p99 {p99:.3f} ms, at most {late.max():.3f} ms")
+    print(f"sent {len(late)} messages: half were at most {p50:.1f} ms late, 99 % {p99:.1f} ms, all {late.max():.1f} ms")
     return 0
 
 
