@@ -1,7 +1,8 @@
 """Extension of griffe, which reads docstrings for the Python reference: parameters and errors become a list.
 
 Docstrings without sections (`Args:` and the like, which griffe reads itself) name a parameter or field, then a colon:
-"vertices: (n, 3) [m]. faces: (f, 3)." Errors begin with "Raises".
+"vertices: (n, 3) [m]. faces: (f, 3)." Errors begin with "Raises". In sections, several names before a colon become an
+item each, as griffe knows one name alone.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 
 import griffe
 
-__all__ = ["DocstringItems", "listed"]
+__all__ = ["DocstringItems", "listed", "one_by_one"]
 
 SECTION = re.compile(r"^(Args|Attributes|Returns|Raises):$", flags=re.MULTILINE)
 
@@ -42,6 +43,20 @@ def listed(text: str, names: list[str]) -> str:
     return "\n\n".join(paragraphs)
 
 
+def one_by_one(text: str, names: list[str]) -> str:
+    """A docstring with sections, in which each of the `names` has an item of its own: "a, b: x" is "a: x", "b: x"."""
+
+    def split(found: re.Match) -> str:
+        several = found[2].split(", ")
+        return (
+            "\n".join(f"{found[1]}{name}: {found[3]}" for name in several) if set(several) <= set(names) else found[0]
+        )
+
+    return re.sub(r"^( +)(\w+(?:, \w+)+): (.*(?:\n\1 +.*)*)", split, text, flags=re.MULTILINE)
+
+
 def _list(documented: griffe.Object, names: list[str]) -> None:
-    if documented.docstring and not SECTION.search(documented.docstring.value):
-        documented.docstring.value = listed(documented.docstring.value, names)
+    if not documented.docstring:
+        return
+    arrange = one_by_one if SECTION.search(documented.docstring.value) else listed
+    documented.docstring.value = arrange(documented.docstring.value, names)

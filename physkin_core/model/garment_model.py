@@ -124,10 +124,10 @@ class GarmentModel(SkinnedGarment):
     """A trained garment: all that is needed to put it on a body and to drape it.
 
     Attributes:
-        name: of the garment.
-        rig: that it was trained on.
-        garment: its mesh, and the shape of this at rest.
-        fabric: that it is made of, as `with_fabric` takes it. Empty: the fabric that it was trained as.
+        name: the name of the garment.
+        rig: the rig that it was trained on.
+        garment: its mesh and its shape at rest.
+        fabric: the fabric that it is made of, as `with_fabric` takes it. Empty: the fabric that it was trained as.
         hyper_modulator: arrays by name (see `physkin_core.model.hyper_modulator`). "fit" and "bend" tell the network
             how far the garment is made to measure, and how stiff its cloth is.
         pose_modulator, node_deformer: layers of these networks.

@@ -48,6 +48,17 @@ def test_docstrings_become_lists(text, names, expected):
     assert re.findall(r"^- \*\*(.+?)\*\*", docstring_items.listed(text, names), re.MULTILINE) == expected
 
 
+def test_names_that_share_a_description_become_items_each():
+    """If all are parameters or fields, with the lines that belong to them."""
+    docstring_items = pytest.importorskip("docstring_items", reason="needs griffe: pip install 'physkin[docs]'")
+    text = "Drape.\n\nArgs:\n    time, root: as ever,\n        in metres.\n    out: kept.\n    x, y: no names.\n"
+    expected = text.replace(
+        "    time, root: as ever,\n        in metres.\n",
+        "    time: as ever,\n        in metres.\n    root: as ever,\n        in metres.\n",
+    )
+    assert docstring_items.one_by_one(text, ["time", "root", "out"]) == expected
+
+
 def test_a_live_page_takes_the_place_of_its_picture(tmp_path, monkeypatch):
     """Where there is one, and it is copied; else the picture stays."""
     text = (ROOT / "docs" / "browser.md").read_text()
