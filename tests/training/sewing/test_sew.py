@@ -10,12 +10,14 @@ import torch
 from training.sewing.patterns import panel, tube_skirt, written
 
 from physkin_core import load_body_model
+from physkin_core.model.garment import face_areas
 from physkin_core.model.garment_model import Material
 from physkin_core.quality import edge_strain
 from physkin_training.physics.surface_queries import BodySurface, piercing_edges
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import PatternError, load_pattern
-from physkin_training.sewing.sew import Arms, paper_doll, sewn
+from physkin_training.sewing.sew import Arms, _made, paper_doll, sewn
+from physkin_training.sewing.squashed_faces import opened, squashed
 
 CPU = torch.device("cpu")
 RIG = load_body_model().rig
@@ -72,6 +74,32 @@ def test_stitches_that_make_no_surface(tmp_path, template):
     twice = replace(mesh, seams=np.concatenate([mesh.seams, mesh.seams[:1, ::-1] + [[0, 1]]]))
     with pytest.raises(PatternError, match="it cannot be sewn so,"):
         sewn(twice, template, RIG, Material(), CPU)
+
+
+def test_squashed_faces_are_pulled_open():
+    """Two vertices at a hem in one place: their faces come back, and cloth farther away stays."""
+    x, y = np.meshgrid(0.02 * np.arange(40), 0.02 * np.arange(30))
+    corner = (40 * np.arange(29)[:, None] + np.arange(39)).reshape(-1)
+    faces = np.concatenate([corner[:, None] + [0, 1, 41], corner[:, None] + [0, 41, 40]])
+    places = np.column_stack([x.ravel(), y.ravel()])
+    flat = np.column_stack([places, np.zeros(len(places))])
+    assert opened(flat, faces, places, faces) is flat
+    pinched = flat.copy()
+    pinched[20] = pinched[21] + [0, 0, 1e-5]
+    assert squashed(pinched, faces, places, faces).sum() == 1
+    found = opened(pinched, faces, places, faces)
+    assert face_areas(found, faces) == pytest.approx(np.full(len(faces), 2e-4), rel=0.15)
+    moved = np.linalg.norm(found - pinched, axis=1)
+    assert 0.005 < moved.max() < 0.02 and not moved[np.abs(places - places[20]).max(axis=1) > 0.07].any()
+    crushed = flat * [0.3, 1, 1]
+    assert opened(crushed, faces, places, faces) is crushed, "no fold"
+
+
+def test_what_is_squashed_all_over_is_told_with_its_panel(tmp_path, template):
+    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
+    lying = np.column_stack([mesh.places * [0.2, 1], np.zeros(len(mesh.places))])
+    with pytest.raises(PatternError, match=r"\(\d+ faces are squashed or drawn out, most of them of panel 'front'\)"):
+        _made(mesh, np.where(mesh.panel_of[:, None] == mesh.names.index("front"), lying, lying * [5, 1, 1]), mesh.faces)
 
 
 def test_a_panel_that_is_not_sewn(tmp_path, template):

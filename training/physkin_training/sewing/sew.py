@@ -35,6 +35,7 @@ from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.quiet_warp import wp
 from physkin_training.sewing.cut import Cut
 from physkin_training.sewing.pattern import PatternError
+from physkin_training.sewing.squashed_faces import opened, squashed
 
 __all__ = ["sewn"]
 
@@ -232,11 +233,16 @@ def _joined(cut: Cut, closed: np.ndarray) -> Garment:
 
 
 def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
-    """Sewn, of vertices (n, 3) and faces (f, 3)."""
+    """Sewn, of vertices (n, 3) and faces (f, 3), where few of these are squashed with those pulled open."""
+    panels = cut.places, cut.faces
+    vertices = opened(vertices, faces, *panels)
     try:
-        return Garment(vertices, faces, panel_places=cut.places, panel_faces=cut.faces)
+        return Garment(vertices, faces, None, *panels)
     except GarmentError as error:
-        raise PatternError(f"it cannot be sewn so, or does not fit the body: {error}") from error
+        bad = squashed(vertices, faces, *panels)
+        most = cut.names[np.bincount(cut.panel[bad]).argmax()] if bad.any() else None
+        where = f" ({bad.sum()} faces are squashed or drawn out, most of them of panel {most!r})" if most else ""
+        raise PatternError(f"it cannot be sewn so, or does not fit the body{where}: {error}") from error
 
 
 class _Cloth:
