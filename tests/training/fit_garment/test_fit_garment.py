@@ -125,6 +125,29 @@ def test_lost_steps_count_once_in_the_curve_and_in_full_in_the_time(tmp_path):
     assert training_record.recorded_seconds(absent) == 0 and training_record.read_losses(absent) == []
 
 
+def test_steps_are_timed_on_the_trainer_that_then_trains(band, recipe, tmp_path, monkeypatch, no_pictures):
+    """Setting up takes a good part of a minute: it is done once."""
+    made, init = [], Trainer.__init__
+
+    def counted(trainer, *given, **options):
+        made.append(trainer)
+        init(trainer, *given, **options)
+
+    def chosen(trainer, seconds):
+        steps = replace(trainer.config.optimisation, steps=12)
+        trainer.config = replace(trainer.config, optimisation=steps)
+        return 10.0
+
+    monkeypatch.setattr(Trainer, "__init__", counted)
+    monkeypatch.setattr(Trainer, "choose_steps", chosen)
+    monkeypatch.setattr(fit_garment, "FEWEST_STEPS", 10)
+    output = tmp_path / "band.safetensors"
+    arguments = ["--recipe", str(recipe), "--minutes", "30", "--device", "cpu", "--bodies", "1", "--poses", "2"]
+    assert main(["fit-garment", str(band), "-o", str(output), *arguments]) == 0
+    assert len(made) == 1 and made[0].step == 12
+    assert load_config(tmp_path / "band" / "config.toml") == made[0].config
+
+
 @pytest.mark.slow
 def test_all_is_done_in_the_minutes_given(band, recipe, tmp_path):
     """Set-up, measuring, training, export, figures and pictures."""
@@ -135,7 +158,7 @@ def test_all_is_done_in_the_minutes_given(band, recipe, tmp_path):
 
 
 def test_training_gets_what_the_rest_leaves(monkeypatch):
-    """Of 10 minutes 1 is gone, setting up takes 20 s each time, and a quarter, at most 150 s, is for the report."""
+    """Of 10 minutes 1 is gone, setting up takes 20 s, and a quarter, at most 150 s, is for the report."""
     watch, asked = Watch(), []
 
     def trainer(config, _):
@@ -146,11 +169,11 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
     config = TrainingConfig("band", Path("band.obj"))
     budget = TimeBudget(10, clock=watch)
     watch.now = 60.0
-    assert fit_garment.choose_steps(config, CPU, budget) == config.optimisation.steps
-    assert asked == [600 - 60 - 2 * 20 - 150]
+    assert fit_garment.trainer_in_time(config, CPU, budget).config == config
+    assert asked == [600 - 60 - 20 - 150]
     few = replace(config, optimisation=replace(config.optimisation, steps=12))
     with pytest.raises(ValueError, match="only 12 steps of 0.10 s here, at least 100 are needed: .* about 11"):
-        fit_garment.choose_steps(few, CPU, TimeBudget(10, clock=watch))
+        fit_garment.trainer_in_time(few, CPU, TimeBudget(10, clock=watch))
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
 from physkin_training.train.trainer import Trainer
 
-__all__ = ["FIGURES", "FIRST", "choose_steps", "main"]
+__all__ = ["FIGURES", "FIRST", "main", "trainer_in_time"]
 
 log = logging.getLogger(__name__)
 REST, LONGEST_REST = 0.25, 150.0
@@ -55,15 +55,14 @@ FIGURES = "figures.json"
 """In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
 
 
-def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> int:
-    """Training steps that leave time in the budget for export and report (see `REST`). Real steps are timed for it.
+def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> Trainer:
+    """A trainer of as many steps as leave time in the budget for export and report (see `REST`). Real steps are timed
+    for it.
 
     Raises ValueError when they are too few to learn anything.
     """
-    began = budget.spent
     trainer = Trainer(config, device)
-    set_up = budget.spent - began  # the run itself sets up once more
-    seconds = _for_training(budget) - set_up
+    seconds = _for_training(budget)
     minutes = f"{budget.seconds / 60:g} minutes in all"
     try:
         rate = trainer.choose_steps(seconds)
@@ -77,7 +76,7 @@ def choose_steps(config: TrainingConfig, device: torch.device, budget: TimeBudge
             f"of --minutes about {math.ceil((budget.seconds + missing) / 60)}"
         )
     log.info("%d steps of %.0f ms in %s, export and report included", steps, 1000 / rate, minutes)
-    return steps
+    return trainer
 
 
 def _for_training(budget: TimeBudget) -> float:
@@ -190,9 +189,12 @@ def _train_and_report(
     resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
     if resumed:
         config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
+        trainer = None
     else:
         _show_first(options, mesh, model, avatar)
-        config, earlier = _configuration(options, mesh, model, device, budget), 0.0
+        config = _configuration(options, mesh, model, device)
+        trainer = None if options.steps else trainer_in_time(config, device, budget)
+        config, earlier = trainer.config if trainer else config, 0.0
         configuration.write_text(as_toml(config))
         losses.unlink(missing_ok=True)
     began = budget.spent
@@ -200,7 +202,8 @@ def _train_and_report(
     arguments += ["--log-every", str(max(1, min(200, config.optimisation.steps // 200)))]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
     arguments += ["--resume", str(checkpoint)] if resumed else []
-    status = train.main(arguments, within=max(_for_training(budget), 1.0), shown=output)
+    status = train.main(arguments, within=max(_for_training(budget), 1.0), shown=output, trainer=trainer)
+    del trainer  # the report needs its memory
     if status:
         return status
     seconds = earlier + budget.spent - began
@@ -245,9 +248,9 @@ def _show_first(options: argparse.Namespace, mesh: Path, model: GarmentModel, av
 
 
 def _configuration(
-    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device, budget: TimeBudget
+    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device
 ) -> TrainingConfig:
-    """Of a new run: the recipe, with as many steps as were asked for or as there is time for."""
+    """Of a new run: the recipe, with as many steps as were asked for."""
     name = options.output.stem
     if options.recipe:
         recipe = load_config(options.recipe, name=name, garment=mesh)
@@ -260,8 +263,9 @@ def _configuration(
         recipe = started_from(recipe, beside)
     elif carried:
         log.warning("training begins with nothing: %s has other sizes than %s", options.recipe, start.name)
-    steps = options.steps or choose_steps(recipe, device, budget)
-    return replace(recipe, optimisation=replace(recipe.optimisation, steps=steps))
+    if not options.steps:
+        return recipe
+    return replace(recipe, optimisation=replace(recipe.optimisation, steps=options.steps))
 
 
 if __name__ == "__main__":

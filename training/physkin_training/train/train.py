@@ -75,9 +75,16 @@ def command_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: list[str] | None = None, *, within: float = math.inf, shown: Path | None = None) -> int:
+def main(
+    argv: list[str] | None = None,
+    *,
+    within: float = math.inf,
+    shown: Path | None = None,
+    trainer: Trainer | None = None,
+) -> int:
     """Command line entry. within: seconds of training; where the run would take longer, steps are left out on the way
-    (in one process). shown: where the best model so far is written now and then while it trains."""
+    (in one process). shown: where the best model so far is written now and then while it trains. trainer: of the
+    configuration, on the device, before its first step; it is made here by default."""
     arguments = command_parser().parse_args(argv)
     try:
         garment = arguments.garment
@@ -86,7 +93,7 @@ def main(argv: list[str] | None = None, *, within: float = math.inf, shown: Path
         logging.basicConfig(level=logging.INFO if processes.writes else logging.WARNING, format="%(message)s")
         if arguments.minutes and arguments.resume:
             config = replace(config, optimisation=replace(config.optimisation, steps=saved_steps(arguments.resume)))
-        trainer = Trainer(config, device, processes=processes)
+        trainer = trainer or Trainer(config, device, processes=processes)
         if trainer.garment.panel_places is not None:
             area = trainer.garment.face_areas.sum()
             log.info("%s rests as the flat panels of its texture coordinates, %.3f m2", config.garment.name, area)
