@@ -289,7 +289,7 @@ def _info(options: argparse.Namespace) -> int:
         "garment": f"{len(garment.vertices)} vertices, {len(garment.faces)} faces, {garment.face_areas.sum():.3f} m2",
         "rest shape": "as its mesh lies" if garment.panel_places is None else "the flat panels that it was cut from",
         "garment nodes": f"{len(model.node_rest)}, {model.influence_nodes.shape[1]} influences a vertex",
-        "sway": "learnt: by a network" if model.sway is not None else "not learnt: draped at rest",
+        "sway": "by its sway network" if model.sway is not None else "none: it has no sway network",
         "rig": f"{rig.bone_count} bones, {len(rig.dofs)} joints",
         "joints": ", ".join(rig.joint_names),
         **sizes,

@@ -28,14 +28,14 @@ def test_info(model_path, garment_model, tmp_path, capsys):
     """Name, sizes, material and rig of a model, without ROS or torch."""
     assert cli.main(["info", str(model_path)]) == 0
     output = capsys.readouterr().out
-    assert "not learnt: draped at rest" in output
+    assert "none: it has no sway network" in output
     assert "vest" in output and "16, 4 influences a vertex" in output and "youngs_modulus" in output
     modulation = 2 * sum(len(bias) for _, bias in garment_model.pose_modulator[:-1])
     sizes = len(garment_model.rig.dofs), len(garment_model.node_rest)
     sway = random_sway_network(np.random.default_rng(0), *sizes, modulation=modulation)
     save_garment_model(replace(garment_model, sway=sway), tmp_path / "swaying.safetensors")
     assert cli.main(["info", str(tmp_path / "swaying.safetensors")]) == 0
-    assert "sway             learnt: by a network" in capsys.readouterr().out
+    assert "sway             by its sway network" in capsys.readouterr().out
 
 
 def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, capsys):

@@ -20,7 +20,7 @@ def model():
 def test_round_trip(model, tmp_path, capsys):
     save_garment_model(model, tmp_path / "swaying.safetensors")
     assert cli.main(["info", str(tmp_path / "swaying.safetensors")]) == 0
-    assert "learnt: by a network" in capsys.readouterr().out
+    assert "by its sway network" in capsys.readouterr().out
     back, expected = load_garment_model(tmp_path / "swaying.safetensors").arrays(), model.arrays()
     assert back.keys() == expected.keys()
     assert back["sway.joints"].dtype == np.int32 and (back["sway.joints"] == expected["sway.joints"]).all()

@@ -43,7 +43,7 @@ def chosen_start(garment: Garment, name: str | None) -> tuple[Likeness | None, V
     models = map(load_garment_model, [name] if name else shipped_models())
     likeness = Likeness.nearest(garment, models)
     if likeness.near or name:
-        return likeness, Verdict(CHECK, "ok", f"{likeness}; training begins with its networks", NEAR)
+        return likeness, Verdict(CHECK, "ok", f"{likeness}; training starts from its networks", NEAR)
     found = f"far from all; the nearest is {likeness}: training begins with nothing"
     return None, Verdict(CHECK, "warning", found, NEAR)
 

@@ -160,7 +160,7 @@ def _fit(options: argparse.Namespace) -> int:
 def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar | None, own: OwnPose | None) -> None:
     try:
         save_png(path, placement_picture(checked, avatar, template, own))
-        print(f"wrote {path}: see whether front, height and sleeves are right")
+        print(f"wrote {path}: look whether front, height and sleeves are right")
     except PictureError as error:
         print(f"no picture: {error}")
 
