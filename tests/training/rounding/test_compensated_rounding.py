@@ -52,6 +52,13 @@ def test_outputs_in_one_unit_are_rounded_to_one_size():
         assert most / 25 < lost[1] / lost[0] < most / 5 if not alike else lost[1] / lost[0] < 1.5
 
 
+def test_a_layer_that_reads_nothing_is_rounded_one_by_one():
+    """One that long training has put to sleep: all that it reads is 0."""
+    weight, _ = some_weight()
+    rounded = compensated_rounding(weight, np.zeros((64, 64)), Rounding(1))
+    assert np.abs(in_steps(rounded) - in_steps(weight)).max() <= 0.51
+
+
 @pytest.mark.parametrize("rounding", [Rounding(1), Rounding(12), Rounding(8, alike=True), Rounding(32, four=True)])
 def test_a_file_keeps_every_rounded_weight(rounding):
     weight, inputs = some_weight(sizes=np.linspace(0.2, 3, 40)[:, None])

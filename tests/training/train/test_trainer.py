@@ -289,9 +289,16 @@ def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path, unfi
 
 
 def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monkeypatch, capsys, unfitted_normals):
+    """After it was rounded as finely as can be."""
+    tried = []
     monkeypatch.setattr("physkin_training.networks.export.EXPORT_TOLERANCE", 1e-9)
+    monkeypatch.setattr(
+        "physkin_training.train.train.rounded_model",
+        lambda model, *, device, finely=False: tried.append(finely) or model,
+    )
     resumed = "--resume", finished_run / "out" / "checkpoint"
     assert main(train_command(finished_run, *resumed, out=tmp_path)) == 1
+    assert tried == [False, True]
     assert "allowed 1e-06 mm" in capsys.readouterr().err and not list(tmp_path.glob("*.safetensors"))
     assert (tmp_path / "band.unchecked").exists()
 

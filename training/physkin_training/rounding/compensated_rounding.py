@@ -10,13 +10,13 @@ Dimensions: `k` inputs of a layer, `o` its outputs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS
 
-__all__ = ["Rounding", "compensated_rounding"]
+__all__ = ["Rounding", "compensated_rounding", "mean_square"]
 
 AT_ONCE = 64
 """Columns whose losses are handed on together to those after them."""
@@ -34,6 +34,10 @@ class Rounding:
     four: bool = False
     damping: float = 0.02
 
+    def at(self, every: int | None) -> Rounding:
+        """The same at so many steps, None for its own."""
+        return self if every is None else replace(self, every=every)
+
 
 def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Rounding) -> np.ndarray:
     """A network weight (o, k) in whole steps of its row, close to it over inputs of which the mean of products is
@@ -43,7 +47,7 @@ def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Round
     """
     inputs = len(square)
     order = np.argsort(-np.diag(square), kind="stable")
-    damped = square[np.ix_(order, order)] + rounding.damping * np.trace(square) / inputs * np.eye(inputs)
+    damped = square[np.ix_(order, order)] + rounding.damping * mean_square(square) * np.eye(inputs)
     takes_over = np.linalg.cholesky(np.linalg.inv(damped)).T
     scales, most_steps = (4, MOST_STEPS) if rounding.four else (1, MOST_STEPS_IN_8_BITS)
     scale, left = order % scales, weight[:, order].astype(np.float64)
@@ -68,6 +72,12 @@ def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Round
             )
         left[:, together.stop :] -= lost @ takes_over[together, together.stop :]
     return np.ascontiguousarray(rounded[:, np.argsort(order)], dtype=np.float32)
+
+
+def mean_square(square: np.ndarray) -> float:
+    """Of the inputs whose mean of products is `square` (k, k). 1 where all are 0, as those of a layer that training has
+    put to sleep are (every ReLU before it below 0): its network weights are then rounded one by one."""
+    return float(np.trace(square)) / len(square) or 1.0
 
 
 def _every(step: np.ndarray, rounding: Rounding) -> np.ndarray:

@@ -27,7 +27,7 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
 from physkin_core.runtime.binding import bind_garment
 from physkin_training.networks.export import drape_from_model, encode_bodies
-from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding, mean_square
 from physkin_training.rounding.rounded_sway import rounded_sway
 from physkin_training.sampling.everyday_poses import EverydayPoses
 
@@ -48,25 +48,29 @@ LEAST_ROUNDED = 2**13
 """Network weights of the encoder that are fewer are left alone, and those that read points."""
 
 
-def rounded_model(model: GarmentModel, *, device: torch.device | str = "cpu", seed: int = 0) -> GarmentModel:
-    """The model with its networks rounded, over drapes on training bodies. device: where bodies are encoded.
+def rounded_model(
+    model: GarmentModel, *, device: torch.device | str = "cpu", seed: int = 0, finely: bool = False
+) -> GarmentModel:
+    """The model with its networks rounded, over drapes on training bodies. device: where bodies are encoded. finely: to
+    each of the evaluator's steps, which moves cloth by less and takes a larger file.
 
     Raises ValueError for another rig than the body model's."""
     body_model = load_body_model()
     if model.rig.to_json() != body_model.rig.to_json():
         raise ValueError("network weights are rounded over the body model's poses; this garment has another rig")
     random = np.random.default_rng(seed)
+    every = 1 if finely else None
     encoder = dict(model.hyper_modulator)
     for name, square in _encoder_squares(model, body_model, device, random).items():
         rounding = ENCODER_OUTPUT if name == "output.weight" else ENCODER
-        encoder[name] = compensated_rounding(encoder[name], square, rounding)
+        encoder[name] = compensated_rounding(encoder[name], square, rounding.at(every))
     rounded = replace(model, hyper_modulator=encoder)
     frames = _frames(model, rounded, body_model, device, random)
-    pose = _Pass(frames.poses, frames.poses)
+    pose = _Pass(frames.poses, frames.poses, every)
     pose_layers = _rounded(
         model.pose_modulator, pose, (frames.exact_modulation, frames.modulation), (None, POSE_HIDDEN, POSE_LAST)
     )
-    deformer = _Pass(frames.nodes, frames.nodes)
+    deformer = _Pass(frames.nodes, frames.nodes, every)
     plan = (DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST)
     deformer_layers = _rounded(model.node_deformer, deformer, (pose.exact, pose.rounded), plan)
     detail = None if model.detail is None else _rounded_detail(model.detail, deformer.before_last())
@@ -76,15 +80,16 @@ def rounded_model(model: GarmentModel, *, device: torch.device | str = "cpu", se
 
 @dataclass
 class _Pass:
-    """What the next layer reads (F, k): of the network as it was, and of the rounded one."""
+    """What the next layer reads (F, k): of the network as it was, and of the rounded one. every: see `Rounding.at`."""
 
     exact: np.ndarray
     rounded: np.ndarray
+    every: int | None = None
     _before: tuple[np.ndarray, np.ndarray] | None = None
 
     def before_last(self) -> _Pass:
         """What the last layer read."""
-        return _Pass(*self._before)
+        return _Pass(*self._before, self.every)
 
     def round(self, weight: np.ndarray, rounding: Rounding | None) -> np.ndarray:
         """The weight (o, k) rounded, so that it makes of the rounded inputs what it made of the exact ones."""
@@ -92,9 +97,9 @@ class _Pass:
             return weight
         exact, given = self.exact.astype(np.float64), self.rounded.astype(np.float64)
         square = given.T @ given / len(given)
-        damping = rounding.damping * np.trace(square) / len(square) * np.eye(len(square))
+        damping = rounding.damping * mean_square(square) * np.eye(len(square))
         wanted = weight @ (exact.T @ given / len(given) + damping)
-        return compensated_rounding(np.linalg.solve(square + damping, wanted.T).T, square, rounding)
+        return compensated_rounding(np.linalg.solve(square + damping, wanted.T).T, square, rounding.at(self.every))
 
     def go_on(self, exact: np.ndarray, rounded: np.ndarray) -> None:
         self._before = (self.exact, self.rounded)

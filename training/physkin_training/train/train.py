@@ -215,13 +215,17 @@ def _train(
 
 def export(trainer: Trainer, path: Path) -> GarmentModel:
     """Write the model of the run's best drape, and return it. Raises ExportError, and writes nothing, when it drapes
-    otherwise."""
+    otherwise, rounded as finely as can be."""
     drape = trainer.best_drape()
     if best := trainer.best:
         log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
     model = _best_model(trainer)
     model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
-    return store_checked(rounded_model(model, device=trainer.device), drape, path)
+    try:
+        return store_checked(rounded_model(model, device=trainer.device), drape, path)
+    except ExportError as error:
+        log.info("%s: rounded more finely", error)
+    return store_checked(rounded_model(model, device=trainer.device, finely=True), drape, path)
 
 
 def _best_model(trainer: Trainer) -> GarmentModel:
