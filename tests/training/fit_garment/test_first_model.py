@@ -55,6 +55,8 @@ def test_a_cape_is_far_from_all():
 def test_the_default_recipe_can_begin_with_every_shipped_garment(kind, tmp_path):
     """Which have one size of networks; a recipe of other sizes cannot."""
     recipe = default_recipe("own", tmp_path / "own.obj", torch.device(kind))
+    hurried = default_recipe("own", tmp_path / "own.obj", torch.device(kind), seconds=120)
+    assert (recipe.train_bodies, hurried.train_bodies) == {"cpu": (64, 64), "cuda": (512, 128)}[kind]
     models = [load_garment_model(name) for name in shipped_models()]
     assert all(has_sizes_of(recipe, model) for model in models)
     assert not has_sizes_of(replace(recipe, detail=DetailConfig()), models[0])

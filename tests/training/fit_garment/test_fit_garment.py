@@ -171,6 +171,10 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
     watch.now = 60.0
     assert fit_garment.trainer_in_time(config, CPU, budget).config == config
     assert asked == [600 - 60 - 20 - 150]
+    late = TimeBudget(2, clock=watch)
+    watch.now += 75.0
+    with pytest.raises(ValueError, match="2 minutes .* too few: 95 s went by .* 30 s are kept .* --minutes about 3"):
+        fit_garment.trainer_in_time(config, CPU, late)
     few = replace(config, optimisation=replace(config.optimisation, steps=12))
     with pytest.raises(ValueError, match="only 12 steps of 0.10 s here, at least 100 are needed: .* about 11"):
         fit_garment.trainer_in_time(few, CPU, TimeBudget(10, clock=watch))

@@ -48,6 +48,8 @@ REST, LONGEST_REST = 0.25, 150.0
 is too little."""
 MEASURING = 0.1
 """Share of the time in which steps are timed."""
+FEWEST_SECONDS = 10.0
+"""Of training, where a length is advised."""
 FIRST, START = "first.png", "start.safetensors"
 """In the run's folder: a picture of the model before training, and the model."""
 REFUSED = 1
@@ -64,6 +66,12 @@ def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBu
     trainer = Trainer(config, device)
     seconds = _for_training(budget)
     minutes = f"{budget.seconds / 60:g} minutes in all"
+    if seconds <= 0:
+        raise ValueError(
+            f"{minutes} are too few: {budget.spent:.0f} s went by before training, and "
+            f"{budget.left - seconds:.0f} s are kept for export and report: {ADVICE}, of --minutes about "
+            f"{math.ceil((budget.spent + FEWEST_SECONDS) / (1 - REST) / 60)}"
+        )
     try:
         rate = trainer.choose_steps(seconds)
     except ValueError as error:
@@ -192,7 +200,7 @@ def _train_and_report(
         trainer = None
     else:
         _show_first(options, mesh, model, avatar)
-        config = _configuration(options, mesh, model, device)
+        config = _configuration(options, mesh, model, device, budget)
         trainer = None if options.steps else trainer_in_time(config, device, budget)
         config, earlier = trainer.config if trainer else config, 0.0
         configuration.write_text(as_toml(config))
@@ -248,14 +256,14 @@ def _show_first(options: argparse.Namespace, mesh: Path, model: GarmentModel, av
 
 
 def _configuration(
-    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device
+    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device, budget: TimeBudget
 ) -> TrainingConfig:
     """Of a new run: the recipe, with as many steps as were asked for."""
     name = options.output.stem
     if options.recipe:
         recipe = load_config(options.recipe, name=name, garment=mesh)
     else:
-        recipe = default_recipe(name, mesh, device)
+        recipe = default_recipe(name, mesh, device, seconds=budget.seconds)
     carried = "carried_from" in start.training
     if carried and has_sizes_of(recipe, start):
         beside = mesh.with_name(START)
