@@ -84,7 +84,7 @@ def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
     at_corner = np.zeros((len(vertices), 3))
     np.add.at(at_corner, faces, angles[..., None] * normals[:, None])
     ends = np.sort(np.stack([np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
-    edges, owner = np.unique(ends, axis=0, return_inverse=True)
+    edges, owner = np.unique(ends @ [len(vertices), 1], return_inverse=True)  # one number an edge sorts faster
     at_edge = np.zeros((len(edges), 3))
     np.add.at(at_edge, owner.reshape(faces.shape), normals[:, None])
     return normals, at_edge[owner.reshape(faces.shape)], at_corner
