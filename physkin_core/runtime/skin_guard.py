@@ -27,6 +27,9 @@ SAMPLES = 208
 """Closer together than garment nodes are, so that no leg passes between them."""
 SPARSE = 0.3
 """Where cloth hugs the skin samples are farther apart, by up to one divided by this: fewer lack anything there."""
+NEAR_FEET, BLEND = 0.5, 0.15
+"""Share by which samples are closer together in the lower half of shins, where heels and toes would go between them;
+and over how much height [m] it grows to that."""
 BLOCK = 16
 """Samples that lie together are skinned together."""
 GAP = 0.003
@@ -57,7 +60,8 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     shares = free * free * (3 - 2 * free) * (1 - of_arms)
     hanging = np.flatnonzero(shares > 0)
     vertices = bound.vertices.astype(np.float64)
-    closeness = SPARSE + (1 - SPARSE) * shares[hanging]
+    low = np.clip((_middle_of_shins(avatar, found) - draped[hanging, 2]) / BLEND + 0.5, 0, 1)
+    closeness = (SPARSE + (1 - SPARSE) * shares[hanging]) * (1 + NEAR_FEET * low)
     samples = _in_blocks(vertices, hanging[_spread(vertices[hanging], closeness, min(SAMPLES, len(hanging)))])
     return {
         **_sampled(bound, samples, "guard"),
@@ -105,6 +109,12 @@ def _hips(avatar: Avatar, found: Limbs) -> float:
     """[m] Their height; below all cloth where there are none."""
     legs = [limb.ends[0] for limb in found.limbs if not limb.is_arm]
     return float(avatar.bone_heads[legs, 2].max(initial=-np.inf))
+
+
+def _middle_of_shins(avatar: Avatar, found: Limbs) -> float:
+    """[m] Their mean height; below all cloth where there are none."""
+    legs = [limb.ends[1:] for limb in found.limbs if not limb.is_arm]
+    return float(avatar.bone_heads[legs, 2].mean()) if legs else -np.inf
 
 
 def _spread(points: np.ndarray, closeness: np.ndarray, count: int) -> list[int]:

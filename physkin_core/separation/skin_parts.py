@@ -27,6 +27,8 @@ FEWEST = 30
 """Skin points that a thigh or a shin must have."""
 BEYOND = 0.045
 """[m] by which both reach beyond the knee, which they round when it is bent."""
+HEEL, TOES = 0.03, 0.01
+"""[m] by which a foot reaches beyond its skin: a part is rounded at its ends, where a heel is not."""
 SHORTEST = 1e-3
 """[m] A part is longer."""
 MOST_BONES: int = native.constants["skin_bones"]
@@ -128,7 +130,8 @@ def _end(limb: Limb, heads: np.ndarray, own: SkinPoints) -> list[SkinPart]:
     along = np.linalg.eigh((own.points - middle).T @ (share[:, None] * (own.points - middle)))[1][:, 2]
     along = along if along @ (middle - heads[limb.ends[2]]) > 0 else -along
     low, high = np.quantile((own.points - middle) @ along, [0.01, 0.99])
-    return _along(own, _axes(along), middle, (low, high), [limb.ends[2]], [], presses=limb.is_arm)
+    reach = (low, high) if limb.is_arm else (low - HEEL, high + TOES)
+    return _along(own, _axes(along), middle, reach, [limb.ends[2]], [], presses=limb.is_arm)
 
 
 def _axes(down: np.ndarray) -> np.ndarray:

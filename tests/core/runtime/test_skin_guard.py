@@ -245,3 +245,20 @@ def test_the_fitted_skin_is_near_the_skin(skirt):
     body = np.flatnonzero(bound.skin_presses == 0)
     depth = np.max([skin_depth(bound, part, bones, skin)[0] for part in body], axis=0)
     assert np.quantile(depth, 0.05) > -0.005
+
+
+def test_heels_do_not_stand_out_of_the_fitted_skin(skirt):
+    avatar, rig = skirt.avatar, skirt.layer.model.rig
+    foot = rig.bone_names.index("foot.L")
+    (part,) = (part for part in fit_skin_parts(avatar, rig, find_limbs(rig)) if part.bones == (foot,))
+    skin = avatar.vertices[avatar.influence_bones[:, 0] == foot]
+    heel = skin[skin[:, 0] < skin[:, 0].min() + 0.03].astype(np.float64)
+    assert part.depth(heel).min() > -0.010
+
+
+def test_samples_are_closer_together_where_heels_are():
+    at = on_the_avatar(load_garment_model("maxidress")).layer.bound.guard_vertices
+    height = at[:, 2]
+    apart = np.sort(np.linalg.norm(at[:, None] - at, axis=2), axis=1)[:, 1]
+    low, shins = height < -0.75, (height > -0.55) & (height < -0.3)
+    assert np.median(apart[low]) < 0.85 * np.median(apart[shins])
