@@ -23,11 +23,11 @@ from physkin_core.separation.skin_parts import SkinPart, fit_skin_parts
 
 __all__ = ["guarded"]
 
-SAMPLES = 208
+SAMPLES = 240
 """Closer together than garment nodes are, so that no leg passes between them."""
 SPARSE = 0.3
 """Where cloth hugs the skin samples are farther apart, by up to one divided by this: fewer lack anything there."""
-NEAR_FEET, BLEND = 0.5, 0.15
+NEAR_FEET, BLEND = 0.3, 0.15
 """Share by which samples are closer together in the lower half of shins, where heels and toes would go between them;
 and over how much height [m] it grows to that."""
 BLOCK = 16

@@ -261,4 +261,4 @@ def test_samples_are_closer_together_where_heels_are():
     height = at[:, 2]
     apart = np.sort(np.linalg.norm(at[:, None] - at, axis=2), axis=1)[:, 1]
     low, shins = height < -0.75, (height > -0.55) & (height < -0.3)
-    assert np.median(apart[low]) < 0.85 * np.median(apart[shins])
+    assert apart[low].mean() < 0.92 * apart[shins].mean()
