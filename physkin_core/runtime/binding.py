@@ -100,7 +100,7 @@ def bind_garment(
     )
     with draping(model, avatar):  # whatever it is made of, room and guard are those of the cloth as trained
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
-        if goes_round_both_legs(model.garment, rig, model.node_rest, model.node_bone):
+        if model.sway is not None or goes_round_both_legs(model.garment, rig, model.node_rest, model.node_bone):
             bound = replace(bound, **guarded(bound, avatar, rig))
     return bound if model is trained else replace(bound, **_of_body(model, worn.seen, fit))
 

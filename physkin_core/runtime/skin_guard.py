@@ -1,4 +1,4 @@
-"""Which cloth is kept out of the skin on every frame: what hangs free around both legs, as a skirt or a dress does.
+"""Which cloth is kept out of the skin on every frame: what sways, and what hangs free around both legs.
 
 Where cloth hugs the body the networks keep it out, having learnt every pose's contact. Cloth that swings is where they
 have not seen it; on every frame native/src/evaluator/skin_guard.cpp moves garment nodes out of legs, hips and trunk as
@@ -35,14 +35,14 @@ BLOCK = 16
 GAP = 0.003
 """[m] Samples are kept this far from the skin."""
 FREE = 0.07
-"""[m] A garment of which nothing below the hips is this far from legs at rest does not hang: a shirt, trousers."""
+"""[m] A garment without sway of which nothing below the hips is this far from legs at rest does not hang."""
 HUGS, HANGS = 0.004, 0.02
 """[m] Cloth nearer to the skin at rest than the first hugs it and is left alone; farther than the second it hangs."""
 
 
 def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
-    """The fields of `BoundGarment` to replace in one that goes round both legs, for it to be kept out of the skin; none
-    where nothing hangs."""
+    """The fields of `BoundGarment` to replace in one that sways or goes round both legs, for it to be kept out of the
+    skin; none where nothing hangs."""
     try:
         found = find_limbs(rig)
     except ValueError:
@@ -54,7 +54,8 @@ def guarded(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
     clearance = -np.stack([part.depth(draped) for part in parts])
     nearest = clearance[[not part.presses for part in parts]].min(axis=0)
     of_arms = (_of_arms(rig, found)[bound.node_bone][bound.influence_nodes] * bound.influence_weights).sum(axis=1)
-    if nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, found))].max(initial=0.0) < FREE:
+    below_hips = nearest[(of_arms < 0.5) & (draped[:, 2] < _hips(avatar, found))]
+    if not bound.sway_layers and below_hips.max(initial=0.0) < FREE:
         return {}
     free = np.clip((nearest - HUGS) / (HANGS - HUGS), 0, 1)
     shares = free * free * (3 - 2 * free) * (1 - of_arms)
