@@ -241,7 +241,7 @@ def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, sha
 
 def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypatch):
     """What is drawn is the separated pose, of body and cloth."""
-    state = SceneState(asset_loader, ["tshirt"], separate_limbs=True)
+    state = SceneState(asset_loader, ["tanktop"], separate_limbs=True)
     assert state.warnings == state.outfit.warnings
     joint = state.rig.joint_names.index("upperarm01.L_x")
     state.set_joint(joint, -0.9)
@@ -250,7 +250,7 @@ def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypat
     assert change > 0.05
     np.testing.assert_array_equal(frame.pose.positions, expected)
     np.testing.assert_allclose(frame.body, state.outfit.posed_body(expected), atol=1e-6)
-    (alone,) = Outfit([load_garment_model("tshirt")], state.outfit.avatar).drape(expected)
+    (alone,) = Outfit([load_garment_model("tanktop")], state.outfit.avatar).drape(expected)
     np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
     from_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
     monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(from_bound=from_bound))

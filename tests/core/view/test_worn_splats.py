@@ -14,7 +14,7 @@ COUNT = 300
 
 @pytest.fixture(scope="module")
 def shirt():
-    return load_garment_model("tshirt")
+    return load_garment_model("tanktop")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def splats(tmp_path_factory, shirt):
 
 def test_splats_follow_every_frame(asset_loader, shirt, splats):
     """Sliders move them as they do those of a draper; once their garment is off, there are none."""
-    state = SceneState(asset_loader, ["tshirt"], points=splats)
+    state = SceneState(asset_loader, ["tanktop"], points=splats)
     assert state.has_splats
     state.set_joint(state.rig.joint_names.index("upperarm01.L_x"), 0.5)
     frame = state.advance(0.0)
@@ -37,24 +37,24 @@ def test_splats_follow_every_frame(asset_loader, shirt, splats):
     np.testing.assert_allclose(frame.splats.splats.centres, wanted.centres, atol=2e-5)
     np.testing.assert_allclose(frame.splats.splats.covariances(), wanted.covariances(), atol=1e-8)
     assert frame.splats.garment == 0 and frame.splats.colours.shape == (COUNT, 3)
-    state.wear(["trousers", "tshirt"])
+    state.wear(["trousers", "tanktop"])
     assert state.advance(0.0).splats.garment == 1
     state.wear(["trousers"])
     assert state.advance(0.0).splats is None
-    assert not SceneState(asset_loader, ["tshirt"]).has_splats
+    assert not SceneState(asset_loader, ["tanktop"]).has_splats
 
 
 def test_files_that_cannot_be_used_are_told(asset_loader, tmp_path, shirt, splats):
     """Before there is a page."""
     (tmp_path / "far.ply").write_bytes(splat_ply("ascii", shirt.garment.vertices[:COUNT] + [0, 0, 1]))
-    with pytest.raises(ValueError, match=r"far.ply: point .* from garment 'tshirt'"):
-        SceneState(asset_loader, ["tshirt"], points=tmp_path / "far.ply")
+    with pytest.raises(ValueError, match=r"far.ply: point .* from garment 'tanktop'"):
+        SceneState(asset_loader, ["tanktop"], points=tmp_path / "far.ply")
     (tmp_path / "cloud.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\n"
         "property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n"
     )
     with pytest.raises(ValueError, match="cloud.ply as points: they are no Gaussian splats"):
-        SceneState(asset_loader, ["tshirt"], points=tmp_path / "cloud.ply")
+        SceneState(asset_loader, ["tanktop"], points=tmp_path / "cloud.ply")
 
 
 def test_colours_and_opacity_of_splats(splats):

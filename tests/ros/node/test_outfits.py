@@ -33,12 +33,12 @@ SHARED = {"precision": "fp32"}
 
 @pytest.fixture(scope="module")
 def models():
-    return {name: load_garment_model(name) for name in ("trousers", "tshirt", "longsleeve", "skirt")}
+    return {name: load_garment_model(name) for name in ("trousers", "tanktop", "longsleeve", "skirt")}
 
 
 @pytest.fixture(scope="module")
 def avatar(models):
-    return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
+    return load_avatar(BUNDLED_AVATAR, models["tanktop"].rig)
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +48,14 @@ def site(start_site, other_body):
     parameters = {
         "asset_roots": [str(other_body.parent)],
         "avatars": {
-            "ann": {"garments": {"zlegs": {"model": "trousers"} | SHARED, "atop": {"model": "tshirt"} | SHARED}},
+            "ann": {"garments": {"zlegs": {"model": "trousers"} | SHARED, "atop": {"model": "tanktop"} | SHARED}},
             "bea": {
                 "hide_covered": False,
                 "separate_limbs": True,
                 "layers": ["top", "legs"],
                 "garments": {
                     "legs": {"model": "trousers"} | SHARED,
-                    "top": {"model": "tshirt", "tucked": True} | SHARED,
+                    "top": {"model": "tanktop", "tucked": True} | SHARED,
                 },
             },
         },
@@ -70,7 +70,7 @@ def site(start_site, other_body):
 @pytest.fixture(scope="module")
 def motion(models):
     clip = load_motion("dance")
-    return models["tshirt"].rig.joint_names, clip.positions_for(models["tshirt"].rig)[:40].astype(np.float32)
+    return models["tanktop"].rig.joint_names, clip.positions_for(models["tanktop"].rig)[:40].astype(np.float32)
 
 
 def both(site, garments, names, positions):
@@ -84,19 +84,19 @@ def both(site, garments, names, positions):
 def test_garments_are_worn_over_each_other(site, models, avatar, motion):
     """In the order of the file; a joint state is answered by clouds of both with its stamp, equal to the core's, frame
     after frame."""
-    outfit = Outfit([models["trousers"], models["tshirt"]], avatar, precision="fp32")
+    outfit = Outfit([models["trousers"], models["tanktop"]], avatar, precision="fp32")
     names, positions = motion
     for pose in positions:
         clouds = both(site, (LEGS, TOP), names, pose)
         for cloud, expected in zip(clouds, outfit.drape(pose)):
             np.testing.assert_array_equal(cloud, expected)
-    alone = Outfit([models["tshirt"]], avatar, precision="fp32").drape(positions[-1])[0]
+    alone = Outfit([models["tanktop"]], avatar, precision="fp32").drape(positions[-1])[0]
     assert np.abs(clouds[1][:, :3] - alone[:, :3]).max() > 0.005, "the shirt must know what it is worn over"
 
 
 def test_the_mesh_says_what_is_given(site, models, avatar):
     """Indices in the model's own mesh, faces of the points of a cloud, and once which skin is covered."""
-    outfit = Outfit([models["trousers"], models["tshirt"]], avatar, precision="fp32")
+    outfit = Outfit([models["trousers"], models["tanktop"]], avatar, precision="fp32")
     for k, garment in enumerate((LEGS, TOP)):
         mesh = site.meshes[garment]
         assert (mesh.layer, mesh.layers, mesh.moved) == (k, 2, k == 1)
@@ -119,10 +119,10 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
 
 def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
     """In the order of `layers`, with the positions separated once."""
-    garments = [WornGarment(models["tshirt"], tucked=True), models["trousers"]]
+    garments = [WornGarment(models["tanktop"], tucked=True), models["trousers"]]
     outfit = Outfit(garments, avatar, precision="fp32", hide_covered=False)
-    separator = LimbSeparator(models["tshirt"].rig, avatar)
-    names, rig = motion[0], models["tshirt"].rig
+    separator = LimbSeparator(models["tanktop"].rig, avatar)
+    names, rig = motion[0], models["tanktop"].rig
     folded = rig.joint_positions({"upperarm01.L_x": -0.9, "upperarm01.R_x": 0.9}).astype(np.float32)
     separated, change = separator.separate(folded)
     assert change > 0.01
@@ -183,7 +183,7 @@ def test_swapping_one_garment_loses_no_cloud(site, models, avatar, motion):
     request = {"avatar": "ann", "garment": "zlegs", "model": "skirt"}
     answer, stamps = swap_while_joint_states_come(site, SetGarment, "set_garment", motion, **request)
     assert answer.success and answer.seconds > 0, answer.message
-    outfit = Outfit([models["skirt"], models["tshirt"]], avatar, precision="fp32")
+    outfit = Outfit([models["skirt"], models["tanktop"]], avatar, precision="fp32")
     counts = [tuple(len(site.clouds[g, s][0]) for g in (LEGS, TOP)) for s in stamps]
     other = tuple(layer.vertex_count for layer in outfit.layers)
     assert set(counts) == {rest, other} and counts[0] == rest and counts[-1] == other
@@ -203,9 +203,9 @@ def test_swapping_the_body_loses_no_cloud(site, models, motion, other_body):
     answer, _ = swap_while_joint_states_come(site, SetBody, "set_body", motion, **request)
     assert answer.success, answer.message
     outfit = Outfit(
-        [models["trousers"], models["tshirt"]], load_avatar(other_body, models["tshirt"].rig), precision="fp32"
+        [models["trousers"], models["tanktop"]], load_avatar(other_body, models["tanktop"].rig), precision="fp32"
     )
-    names, rest = motion[0], models["tshirt"].rig.rest.astype(np.float32)
+    names, rest = motion[0], models["tanktop"].rig.rest.astype(np.float32)
     for cloud, expected in zip(both(site, (LEGS, TOP), names, rest), outfit.drape(rest)):
         np.testing.assert_allclose(cloud[:, :3], expected[:, :3], atol=1e-3)
         np.testing.assert_allclose(cloud[:, 3:], expected[:, 3:], atol=2e-2)  # normals, of sharp folds, too
@@ -219,7 +219,7 @@ def test_what_cannot_be_worn_is_told_and_the_old_outfit_goes_on(site, motion):
     for request, reason in (
         ({"avatar": "ann", "garment": "atop", "model": "trousers"}, "garment 'trousers' is there 2 times"),
         ({"avatar": "bea", "garment": "top", "model": "dress"}, "'dress' cannot be tucked into 'trousers'"),
-        ({"avatar": "bea", "garment": "legs", "model": "longsleeve"}, "'tshirt' cannot be tucked into 'longsleeve'"),
+        ({"avatar": "bea", "garment": "legs", "model": "longsleeve"}, "'tanktop' cannot be tucked into 'longsleeve'"),
     ):
         answer = site.call(SetGarment, "set_garment", **request)
         assert not answer.success and reason in answer.message and "\n" not in answer.message, answer.message
@@ -227,7 +227,7 @@ def test_what_cannot_be_worn_is_told_and_the_old_outfit_goes_on(site, motion):
     (result,) = site.call(SetParameters, "set_parameters", parameters=[text_parameter(name, "trousers")]).results
     assert result.successful  # read in the background
     value = lambda: site.call(GetParameters, "get_parameters", names=[name]).values[0].string_value  # noqa: E731
-    site.until(lambda: value() == "tshirt", "parameter to go back")
+    site.until(lambda: value() == "tanktop", "parameter to go back")
     worn = [*both(site, (LEGS, TOP), names, positions[3]), *both(site, (BLOUSE, HOSE), names, positions[3])]
     assert [len(cloud) for cloud in worn] == counts
     site.until(lambda: "is there 2 times" in site.statuses[TOP]["last error"], "diagnostics")
@@ -240,23 +240,23 @@ def test_plain_parameters(running_node, peer, models, avatar):
     from sensor_msgs.msg import PointCloud2
 
     meshes, clouds = {}, {}
-    with running_node({"model": "trousers, tshirt", "cloud_rate": 0.0}, connect=False) as node:
+    with running_node({"model": "trousers, tanktop", "cloud_rate": 0.0}, connect=False) as node:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         kinds = ((GarmentMesh, "mesh", meshes, latched), (PointCloud2, "garment", clouds, 10))
         subscriptions = [
             peer.node.create_subscription(
                 kind, f"drape_node/{name}/{topic}", lambda message, f=found, n=name: f.__setitem__(n, message), quality
             )
-            for name in ("trousers", "tshirt")
+            for name in ("trousers", "tanktop")
             for kind, topic, found, quality in kinds
         ]
         peer.until(lambda: len(meshes) == 2, "meshes")
-        assert [meshes[name].layer for name in ("trousers", "tshirt")] == [0, 1]
+        assert [meshes[name].layer for name in ("trousers", "tanktop")] == [0, 1]
         (result,) = node.set_parameters([Parameter("model", value="trousers")])
         assert not result.successful and "names 1 garments; allowed: 2" in result.reason
         (result,) = node.set_parameters([Parameter("model", value="trousers,longsleeve")])
         assert result.successful
-        peer.until(lambda: meshes["tshirt"].model_name == "longsleeve", "mesh of the other shirt")
+        peer.until(lambda: meshes["tanktop"].model_name == "longsleeve", "mesh of the other shirt")
         (result,) = node.set_parameters([Parameter("model", value="trousers,trousers")])
         assert result.successful
         peer.until(lambda: node.get_parameter("model").value == "trousers,longsleeve", "parameter to go back")
@@ -274,7 +274,7 @@ def test_interpolated_outfits(running_node, peer, models):
     parameters = {
         "avatars.eva.cloud_rate": 100.0,
         "avatars.eva.garments.a.model": "trousers",
-        "avatars.eva.garments.b.model": "tshirt",
+        "avatars.eva.garments.b.model": "tanktop",
     }
     with running_node(parameters, connect=False):
         subscriptions = [
@@ -290,7 +290,7 @@ def test_interpolated_outfits(running_node, peer, models):
         peer.until(publisher.get_subscription_count, "subscription")
         peer.until(lambda: all(each.get_publisher_count() for each in subscriptions), "topics")
         peer.spin(0.3)
-        rig = models["tshirt"].rig
+        rig = models["tanktop"].rig
         for k in range(10):
             message = JointState(name=list(rig.joint_names), position=array("d", rig.rest.tolist()))
             message.header.stamp.nanosec = 50_000_000 * k
