@@ -34,7 +34,7 @@ Parameters marked \\* may change while the node runs. All others are fixed once 
 lengths are in metres, angles in radians and times in seconds.
 """
 TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
-NAME = r"(?<![\w`/.])(~/\w+|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
+NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w+|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
 PARTS = (
     ("Of the node", "", NodeSettings),
     (
@@ -98,8 +98,8 @@ def _topics() -> Iterator[str]:
     yield "## Topics and services\n"
     note = (
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
-        "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. Types of `physkin_msgs` need that "
-        "package; all others work without it."
+        "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
+        "they are below `~/NAME`. Types of `physkin_msgs` need that package; all others work without it."
     )
     yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"

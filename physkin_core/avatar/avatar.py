@@ -39,8 +39,8 @@ class Avatar:
         warnings: what was assumed or repaired on the way, for the user to read.
         bone_names: (b,) of the rig that it is bound to. If empty, `Draper` can only compare the number of bones.
         file_vertices: (V, 3) float64, the vertices in the file's own frame and unit; None if there is no file.
-        file_corners: (f, 3) int, for each corner of `faces` the corner of the file's triangles, counted over the whole
-            file; texture coordinates are found by it.
+        file_corners: (f, 3) int, for each corner of `faces` the index of that triangle corner in the file, counted over
+            the whole file, for looking up texture coordinates.
         accessories: hair, eyes, glasses and the like, on the same bones. Pictures show them; garments ignore them.
         clothes: what it wears already, one surface each, on the same bones. Pictures show what an outfit does not
             replace.

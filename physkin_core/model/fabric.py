@@ -155,7 +155,8 @@ def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
         fabric: a name ("denim"), numbers ("bend=2e-5+density=0.18"), a colour ("navy", "#334"), a name with a colour
             ("denim:navy"), or a `Fabric`. A name multiplies the material of the model by that fabric's ratios to
             jersey. If the model has not learnt cloth of this stiffness, it uses the nearest that it has learnt. Numbers
-            are used as they are; numbers left out stay the model's own. A text also decides how the cloth looks.
+            are used as they are; numbers left out stay the model's own. A string also sets the colour and look of the
+            cloth; a `Fabric` does not.
 
     Returns:
         A model like any other: it can be draped, saved and measured.

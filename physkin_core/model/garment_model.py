@@ -133,8 +133,9 @@ class GarmentModel(SkinnedGarment):
         pose_modulator, node_deformer: layers of these networks.
         sway: network that moves the garment nodes as the body moves. None: cloth does not swing.
         material: the cloth that it is made of.
-        training: plain data on how it was trained: seed, bodies, steps. `bending_octaves` says how much softer and
-            stiffer cloth it has learnt, as powers of two; by default `BENDING_OCTAVES`.
+        training: plain data on how it was trained: seed, bodies, steps. `bending_octaves` are the softest
+            and the stiffest cloth that it has learnt, as exponents of two. The default (-2, 5) is a quarter to 32 times
+            as stiff as `material`.
         scores: plain data on how well it drapes.
         as_trained: the model that `with_fabric` made this one from. None: it is as it was trained. Not stored in files.
 

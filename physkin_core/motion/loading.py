@@ -44,7 +44,7 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
         path_or_name: the name of an included motion (`bundled_motions`); motion capture, .bvh or .amc, which is
             retargeted to the default rig; a bag with joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a
             file that `save_motion` wrote.
-        watch: called with the share of motion capture that has been read, 0 to 1.
+        watch: called while motion capture is read, with the fraction read so far, 0 to 1.
 
     Returns:
         The motion.

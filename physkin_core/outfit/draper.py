@@ -111,7 +111,7 @@ class Draper:
 
     @property
     def instruction_set(self) -> str:
-        """Instruction set that the evaluator uses, such as "v3"."""
+        """Instruction set that the native code uses, such as "v3" (x86-64-v3, with AVX2)."""
         return self.outfit.instruction_set
 
     @property
@@ -216,11 +216,11 @@ class Draper:
         self.outfit.wind = velocity
 
     def reset(self) -> None:
-        """Let the cloth hang still in the next frame, as in the first one."""
+        """Start again in the next frame from cloth that hangs still, as in the first frame."""
         self.outfit.reset()
 
     def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, out: np.ndarray) -> Callable[[], None]:
-        """A frame that is bound to its arrays: see `Outfit.bind_frame`."""
+        """A function that drapes what given arrays hold when it is called: see `Outfit.bind_frame`."""
         return self.outfit.bind_frame(joint_positions, inputs, [out])
 
     def save_bound(self, path: str | Path) -> None:

@@ -50,9 +50,10 @@ class Outfit:
             waistband of the next. Each is fitted over what lies beneath it: the same shirt is wider over trousers.
         avatar: the body, bound to the rig of the garments.
         precision: of the network weights: "fp32", "bf16" or "int8". None: int8.
-        fit: 1 for made to measure, 0 for the garment's one size, or between, for garments without a fit of their own.
-            Above 0 only with the body model's rig. None: 1 with that rig, 0 with others. Above 0, binding takes some
-            tenths of a second longer; frames take the same time.
+        fit: 1 for made to measure, 0 for one size, or a number between. It holds for garments that have no fit of
+            their own (`WornGarment.fit`). Above 0 it needs garments that were trained on the default rig
+            (`load_body_model().rig`). None: 1 with that rig, 0 with others. Above 0, binding takes some tenths of a
+            second longer; frames take the same time.
         normals: "skinned": rest normals are carried along with their vertices; "faces": they are computed from the
             draped mesh, which is truer where cloth ripples or slides, and takes about 2 ns a vertex. A garment with
             detail nodes always uses "faces".
@@ -141,11 +142,11 @@ class Outfit:
         return twin
 
     def with_bound_garment(self, garment: int, bound: BoundGarment) -> Outfit:
-        """A twin whose clouds have other vertices of one garment.
+        """A twin in which the cloud of one garment holds other points, such as a finer mesh.
 
         Args:
             garment: index of the garment.
-            bound: the other vertices, bound to the same garment nodes.
+            bound: these points, bound to the same garment nodes.
         """
         twin, layers = copy(self), list(self.layers)
         layers[garment] = replace(layers[garment], bound_visible=bound, visible=np.empty(0, dtype=np.int32))
@@ -183,7 +184,7 @@ class Outfit:
 
     @property
     def instruction_set(self) -> str:
-        """Instruction set that the evaluator uses, such as "v3"."""
+        """Instruction set that the native code uses, such as "v3" (x86-64-v3, with AVX2)."""
         return self._evaluator.instruction_set
 
     @property
@@ -236,7 +237,7 @@ class Outfit:
         return list(outs)
 
     def checked_positions(self, joint_positions: np.ndarray | Mapping[str, float]) -> np.ndarray:
-        """Joint positions as evaluators take them; warns once of what looks like degrees.
+        """Joint positions, checked and in the rig's order. Warns once if values look like degrees.
 
         Args:
             joint_positions: as for `drape`.
@@ -271,7 +272,7 @@ class Outfit:
     def bind_frame(
         self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]
     ) -> Callable[[], None]:
-        """A frame that is bound to its arrays, for loops in which every microsecond counts.
+        """A function that drapes what given arrays hold when it is called, for loops in which every microsecond counts.
 
         Args:
             joint_positions: (d,) float32 [rad].
@@ -279,7 +280,7 @@ class Outfit:
             outs: as for `drape`.
 
         Returns:
-            A function that drapes what the arrays hold, into `outs`.
+            The function. It takes no arguments and writes into `outs`.
         """
         return self._evaluator.bind_frame(joint_positions, inputs, outs).step
 
@@ -289,7 +290,7 @@ class Outfit:
         each garment from the skin outwards. 1 is the default. At 0 every frame is draped by itself, whatever its time.
 
         Raises:
-            ValueError: when set to other numbers, or to another number of them.
+            ValueError: if a value is not from 0 to 1, or if there are not as many values as garments.
         """
         sways = self.frame_input.sway
         return sways if len(set(sways)) > 1 else sways[0]
@@ -314,7 +315,7 @@ class Outfit:
         self.frame_input.wind = velocity
 
     def reset(self) -> None:
-        """Let the cloth hang still in the next frame, as in the first one."""
+        """Start again in the next frame from cloth that hangs still, as in the first frame."""
         self.frame_input.reset()
 
     def node_transforms(self) -> tuple[np.ndarray, ...]:

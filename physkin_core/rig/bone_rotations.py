@@ -29,12 +29,13 @@ class BoneRotations:
 
     A rotation becomes rotations about the bone's joints, in their order; what the bone has no joint for is left out.
     Positions are not clipped to the rig's limits: the networks see them clipped, but bones turn by them as they are.
-    For the default rig, rotations that come from joint positions within its limits give these back to single precision.
+    For the default rig, joint positions within its limits that are turned into rotations and back stay the same, to
+    single precision.
 
     Args:
         rig: the rig.
         skeleton: whose bones are rotated. "rig": the rig's own; a rotation is relative to the parent and to the
-            canonical pose, in the axes of the root frame (X forward, Y left, Z up), which every bone has in that pose.
+            canonical pose. In that pose the axes of every bone are those of the root frame (X forward, Y left, Z up).
             "vrm": VRM's humanoid bones, relative to the parent and to the T-pose, in VRM's axes; only for the default
             rig.
 

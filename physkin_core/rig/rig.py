@@ -160,7 +160,7 @@ class Rig:
             (d,) [rad].
 
         Raises:
-            RigError: naming an unknown joint, those with similar names, and where all are listed.
+            RigError: for an unknown joint. It suggests similar names and says where all names are listed.
         """
         positions = np.array(self.rest if start is None else start, dtype=np.float64)
         if positions.shape != (len(self.dofs),):
@@ -194,7 +194,7 @@ class Rig:
 
     @cached_property
     def turns_with(self) -> np.ndarray:
-        """(b,) for each bone, the bone whose joints turn it last. Bones with the same one always turn alike."""
+        """(b,) for each bone, itself or its nearest ancestor that has joints. Bones that share it turn together."""
         return self.inherited({int(bone): int(bone) for bone in self.dof_bones}, 0)
 
     def ancestors(self, bone: int) -> list[int]:

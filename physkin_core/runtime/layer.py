@@ -53,7 +53,7 @@ class Layer:
         rest: (n, 6) float32, vertices [m] and unit normals of the drape at rest, tucked in.
         at_rest: how the garment sits on the skin before it is tucked in. (A tucked hem goes into the skin below the
             waistband, where nobody sees it.)
-        tucked_depth: (n,) [m] below the waistband that it is tucked into, 0 above.
+        tucked_depth: (n,) [m] how far each vertex is below the waistband that it is tucked into; 0 above it.
         hidden: (n,) bool, vertices that are covered in all everyday poses.
         visible: (v,) int32, the vertices that clouds have.
         bound_visible: these vertices, bound.

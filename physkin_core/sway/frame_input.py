@@ -61,10 +61,11 @@ class FrameInput:
         garments: how many, 1 or more.
 
     Attributes:
-        rows: (g, 13) float32, overwritten in every frame: effective gravity (3) in units of gravity; time since the
-            frame before [s], negative if cloth does not go on from that frame; share of the sway network's motion that
-            is used, 0 to 1; time since the frame before [s] for this network, negative in a first frame; 1 if
-            velocities of joints and root are used, otherwise 0; velocity (3) [m/s] and turning (3) [rad/s] of the root.
+        rows: (g, 13) float32, overwritten in every frame. Columns 0 to 2: effective gravity, in units of gravity.
+            3: time step [s] for the speed limit, negative if cloth does not go on from the frame before. 4: share of
+            the sway network's motion that is used, 0 to 1. 5: time step [s] for the sway network, negative in a first
+            frame. 6: 1 if velocities of joints and root are used, otherwise 0. 7 to 9: velocity [m/s] of the root. 10
+            to 12: its turning [rad/s].
 
     Raises:
         ValueError: for less than one garment.
@@ -84,11 +85,11 @@ class FrameInput:
 
     @property
     def sway(self) -> tuple[float, ...]:
-        """How much the cloth of each garment moves from frame to frame, if their times are known. 1, the default: its
-        speed is limited, and a sway network lets it swing. 0: every frame is draped by itself.
+        """How much each garment sways if frames have times. At 1, the default, cloth moves at a limited speed, and
+        swings if the garment has a sway network. At 0 every frame is draped by itself.
 
         Raises:
-            ValueError: when set to other numbers, or to another number of them.
+            ValueError: if a value is not from 0 to 1, or if there are not as many values as garments.
         """
         return tuple(self._native.sway(garment) for garment in range(len(self.rows)))
 
@@ -115,8 +116,8 @@ class FrameInput:
         _checked(self._native.set_wind, np.asarray(velocity))
 
     def reset(self) -> None:
-        """Let cloth hang still in the next frame, as in the first one: for another motion, or after the root was moved
-        by hand."""
+        """Start again in the next frame from cloth that hangs still, as in the first frame: for another motion, or
+        after the root was moved by hand."""
         self._native.reset()
 
     def set_gravity(self, gravity: np.ndarray) -> None:
@@ -148,8 +149,8 @@ class FrameInput:
     def set_root(self, time: float, root: np.ndarray) -> None:
         """Say where the root is, for a root that moves through the world.
 
-        A time that comes twice changes nothing. After more than a quarter of a second, a jump of the root or a clock
-        that goes back, cloth comes to rest by itself.
+        A time that comes twice changes nothing. If more than a quarter of a second has passed, if the root has jumped
+        or if the clock has gone back, the root counts as unmoved for this frame.
 
         Args:
             time: [s], of any clock; frames may come at any rate.

@@ -58,9 +58,9 @@ SPLATS = Topic(
     "~/splats",
     "out",
     "sensor_msgs/PointCloud2",
-    "draped Gaussian splats, 28 bytes each, while somebody reads them. x, y, z: float32 [m]. rot_x, rot_y, rot_z, "
-    "rot_w: a unit quaternion, int16 in units of 1/32767. scale_0, scale_1, scale_2: natural logarithms of standard "
-    "deviations [m], int16 in units of 1/1000",
+    "draped Gaussian splats, 28 bytes each. Published only while the topic has subscribers. x, y, z: float32 [m]. "
+    "rot_x, rot_y, rot_z, rot_w: a unit quaternion, int16 in units of 1/32767. scale_0, scale_1, scale_2: natural "
+    "logarithms of standard deviations [m], int16 in units of 1/1000",
     needs="splats",
 )
 SPLAT_ATTRIBUTES = Topic(

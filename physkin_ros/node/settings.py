@@ -87,8 +87,8 @@ class GarmentSettings:
     )
     fit: float | None = _key(
         None,
-        "0 is one size, 1 is made to measure for this body. Empty: 1 if the model has the body model's rig; "
-        "others can only be worn in one size",
+        "0 is one size, 1 is made to measure for this body. Empty: 1 if the model was trained on the default "
+        "rig, as all shipped ones were; others can only be worn in one size",
         low=0,
         high=1,
     )
@@ -96,14 +96,16 @@ class GarmentSettings:
     normals: str = _key(
         "skinned",
         "skinned: normals follow the garment nodes; faces: normals are computed from the draped mesh, which is "
-        "more exact and takes about 2 ns a vertex",
+        "more exact and takes about 2 ns a vertex. Garments with detail nodes, as all shipped ones, always use faces",
         choices=NORMALS,
     )
-    namespace: str = _key("", "where the garment's topics are. Empty: ~")
+    namespace: str = _key(
+        "", "prefix of the garment's topics. Empty: ~; in an outfit ~/NAME; with several avatars, below ~/ID"
+    )
     splats: str = _key(
         "",
         "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; they are published on "
-        "~/splats. For a single garment, or with avatars and outfit false",
+        "~/splats. Only if the avatar wears a single garment, or with outfit: false",
     )
     publish_marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
 
@@ -145,8 +147,8 @@ class AvatarSettings:
     )
     frame_id: str = _key(
         "",
-        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link; with avatars their ID, "
-        "with discover body_ID",
+        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link; for one of several avatars "
+        "its ID; for a discovered body body_ID",
     )
     gravity: tuple[float, ...] = _key(
         UPRIGHT_GRAVITY.tolist(),
@@ -165,7 +167,7 @@ class AvatarSettings:
         "topic of the orientation source. Empty: its name, such as pose",
     )
     orientation_joints: tuple[str, ...] = _key(
-        ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation joints"
+        ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
     )
     effective_gravity_topic: str = _key(
         "",
@@ -193,13 +195,13 @@ class AvatarSettings:
     )
     world_frame: str = _key(
         "world",
-        "frame whose Z is up: for orientation tf, and for publish_tf if a pose names no frame",
+        "frame whose Z is up: for orientation: tf, and for publish_tf if a pose names no frame",
         may_be_empty=False,
     )
     publish_tf: bool = _key(
         False,
-        "publish TF to frame_id, from the messages of pose or odometry. Only if nobody else does, as a frame has "
-        "one parent",
+        "publish TF to frame_id, from the messages of orientation: pose or orientation: odometry. Only if nobody "
+        "else does, as a frame has one parent",
     )
     cloud_rate: float = _key(
         0.0,
@@ -272,7 +274,9 @@ class NodeSettings:
         8, "number of discovered bodies that are dressed at the same time; others wait", low=1, high=64
     )
     clear_shared_memory: bool = _key(
-        False, "when the node starts, delete what killed Fast DDS processes of this user left in /dev/shm"
+        False,
+        "when the node starts, delete files in /dev/shm that were left behind by Fast DDS processes of this user that "
+        "were killed",
     )
 
 
