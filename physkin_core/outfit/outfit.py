@@ -344,7 +344,7 @@ class Outfit:
 
     @cached_property
     def body_mask(self) -> np.ndarray:
-        """(F,) bool, the body's faces that are covered in all everyday poses."""
+        """(f,) bool, the body's faces that are covered in all everyday poses."""
         hidden = self._body_hidden
         return faces_of(self.avatar.faces, hidden_body(self.layers, self.avatar) if hidden is None else hidden)
 
