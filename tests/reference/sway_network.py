@@ -24,6 +24,8 @@ MOST_SPEED_UP = 1.5
 
 LIES_ON, HANGS = 0.5, 0.85
 """How upright the less upright thigh is where cloth that lies on it sways no longer, and where it sways in full."""
+TOGETHER, APART = 0.3, 0.6
+"""How far apart unit vectors along raised thighs are where cloth sways in full all the same, and where no longer."""
 
 
 class SwayNetwork:
@@ -58,9 +60,12 @@ class SwayNetwork:
 
     def share(self, bones):
         """How much of it is left where thighs are raised, 0 to 1. bones: transforms (b, 3, 4)."""
-        least = min([bones[k][2, 2] for k in self._thighs], default=1.0)
-        hangs = np.clip((least - LIES_ON) / (HANGS - LIES_ON), 0, 1)
-        return hangs**2 * (3 - 2 * hangs)
+        along = np.array([bones[k][:3, 2] for k in self._thighs]).reshape(-1, 3)
+        hangs = smooth_step((along[:, 2].min(initial=1.0) - LIES_ON) / (HANGS - LIES_ON))
+        if len(along) < 2:
+            return hangs
+        apart = np.linalg.norm(along - along[0], axis=1).max()
+        return max(hangs, smooth_step((APART - apart) / (APART - TOGETHER)))
 
     def _move(self, joints, row, begins):
         moves = bool(row.moves) and not begins
@@ -82,3 +87,9 @@ class SwayNetwork:
 def softly(value, largest):
     """The value, where small; it never reaches `largest`."""
     return value / np.sqrt(1 + (value / largest) ** 2)
+
+
+def smooth_step(u):
+    """0 before 0, 1 after 1."""
+    u = np.clip(u, 0, 1)
+    return u**2 * (3 - 2 * u)

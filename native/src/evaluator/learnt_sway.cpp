@@ -18,6 +18,11 @@ float softly(double value, double largest) {
   return float(value / std::sqrt(1 + share * share));
 }
 
+float smooth_step(float u) {
+  u = std::clamp(u, 0.0f, 1.0f);
+  return u * u * (3 - 2 * u);
+}
+
 Oscillators oscillators_of(const BoundGarment& g, Arena& arena) {
   const int count = g.sway_states;
   float *rest_real = arena.take<float>(count), *rest_imaginary = arena.take<float>(count);
@@ -92,10 +97,14 @@ const float* LearntSway::added(const float* corrections, const float* positions,
 }
 
 float LearntSway::hanging(const float* bone_transforms) const noexcept {
-  float least = 1;
-  for (int k = 0; k < thigh_count_; ++k) least = std::min(least, bone_transforms[12 * thighs_[k] + 10]);
-  const float hangs = std::clamp((least - kLiesOn) / (kHangs - kLiesOn), 0.0f, 1.0f);
-  return hangs * hangs * (3 - 2 * hangs);
+  float least = 1, apart = 0;
+  for (int k = 0; k < thigh_count_; ++k) {
+    const float *along = bone_transforms + 12 * thighs_[k] + 2, *first = bone_transforms + 12 * thighs_[0] + 2;
+    least = std::min(least, along[8]);
+    apart = std::max(apart, std::hypot(along[0] - first[0], along[4] - first[4], along[8] - first[8]));
+  }
+  const float together = thigh_count_ > 1 ? smooth_step((kApart - apart) / (kApart - kTogether)) : 0.0f;
+  return std::max(together, smooth_step((least - kLiesOn) / (kHangs - kLiesOn)));
 }
 
 void LearntSway::move(const GarmentInput& input) noexcept {

@@ -25,6 +25,9 @@ constexpr double kLargestRate = 8, kLargestVelocity = 4, kLargestTurning = 8;
 // Cloth lies on a raised thigh, and no longer sways as cloth that hangs: where the less upright of the two is turned from
 // the vertical so far (cosine), nothing of its sway is left, and from the second on all of it.
 constexpr float kLiesOn = 0.5f, kHangs = 0.85f;
+// But thighs that are raised together carry it as one seat, from whose front it hangs: ends of unit vectors along thighs
+// that are no farther apart than this leave all of its sway, those farther than the second nothing.
+constexpr float kTogether = 0.3f, kApart = 0.6f;
 
 class LearntSway {
  public:
