@@ -34,18 +34,20 @@ Parameters marked \\* may change while the node runs. All others are fixed once 
 lengths are in metres, angles in radians and times in seconds.
 """
 TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
-NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w+|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
+NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w[\w/]*|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
 PARTS = (
     ("Of the node", "", NodeSettings),
     (
         "Of each avatar",
-        "A single avatar has the parameter `KEY`, several have `avatars.ID.KEY`. The default topics then [contain the "
+        "With a single avatar, set a parameter by its name in this table, such as `body_mesh`. With several, put the "
+        "avatar's ID before it: `avatars.ID.body_mesh`. The default topics then [contain the "
         "ID](#topics-and-services), too.",
         AvatarSettings,
     ),
     (
         "Of each garment",
-        "A single avatar has the parameter `KEY`, several have `avatars.ID.garments.NAME.KEY`.",
+        "With a single avatar, set a parameter by its name in this table, such as `model`. With several, put the ID of "
+        "the avatar and the name of the garment before it: `avatars.ID.garments.NAME.model`.",
         GarmentSettings,
     ),
 )

@@ -100,7 +100,7 @@ class GarmentSettings:
         choices=NORMALS,
     )
     namespace: str = _key(
-        "", "prefix of the garment's topics. Empty: ~; in an outfit ~/NAME; with several avatars, below ~/ID"
+        "", "prefix of the garment's topics. Empty: ~; in an outfit ~/NAME; with several avatars ~/ID/NAME"
     )
     splats: str = _key(
         "",
@@ -158,13 +158,13 @@ class AvatarSettings:
     orientation: str = _key(
         "gravity",
         "what says where down is. gravity (Vector3Stamped), joints (roll and pitch in the joint states) and fixed "
-        "(the parameter gravity) tell only this. pose (PoseStamped), odometry (Odometry), tf and imu (Imu) also "
-        "tell how the root moves, so that cloth sways with it",
+        "(the parameter gravity) tell only this; cloth then sways with arms and legs alone. pose (PoseStamped), "
+        "odometry (Odometry), tf and imu (Imu) also tell how the root moves, so that cloth sways with that, too",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
         "",
-        "topic of the orientation source. Empty: its name, such as pose",
+        "topic of the orientation source, if that is gravity, pose, odometry or imu. Empty: its name, such as pose",
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
@@ -200,8 +200,8 @@ class AvatarSettings:
     )
     publish_tf: bool = _key(
         False,
-        "publish TF to frame_id, from the messages of orientation: pose or orientation: odometry. Only if nobody "
-        "else does, as a frame has one parent",
+        "publish TF to frame_id, from the messages of orientation: pose or orientation: odometry. Set this "
+        "only if nobody else publishes this transform: a frame can have only one parent",
     )
     cloud_rate: float = _key(
         0.0,
