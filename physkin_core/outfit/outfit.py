@@ -212,9 +212,9 @@ class Outfit:
             effective_gravity: (3,) [m/s2] in the root frame: gravity minus the acceleration of the root. Zero in free
                 fall, at most three times gravity. Used instead of `gravity`.
             time: [s] of this frame. Frames must then come in their order, and cloth that would leap between two of them
-                moves over at a limited speed.
+                moves over at a limited speed. Cloth also swings as the joints move, as much as `sway` says.
             root: (7,), with `time`: where the root is in the world, as for `FrameInput.set_root`. It also says where
-                down is, and makes cloth lag, swing and settle as much as `sway` says.
+                down is, and makes cloth lag, swing and settle as the root moves, too.
             outs: one writable float32 array for each garment, all (v, 6) or all (v, 3), with any row stride. None: new
                 (v, 6).
 
