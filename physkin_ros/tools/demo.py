@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> int:
         _say("interrupted")
         return 130
     error = largest_error(records, outfit, motion)
-    print(table(records, outfit, error), flush=True)
+    print(table(records, outfit, motion, error), flush=True)
     if len(records.kept):
         _say(f"drawing {options.output}")
         draw(options.output, records, outfit, motion)

@@ -18,6 +18,8 @@ __all__ = ["complete", "draw", "largest_error", "table"]
 
 COLUMNS = 4
 PICTURE_SIZE = (420, 440)
+SWINGS_ON = 1.0
+"""[s] in which cloth that sways still moves by what was before the first frame."""
 
 
 def complete(records: Records, garments: int = 1) -> bool:
@@ -33,7 +35,7 @@ def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
     How often the listener had to ask for a first cloud, upright in the first pose, nobody has counted: the core starts
     in every turn, and what comes closest counts.
     """
-    kept = dict(_kept_frames(records))
+    kept = _compared(records, outfit, motion)
     if not kept:
         return 0.0
     positions = motion.positions_for(outfit.rig)
@@ -52,8 +54,9 @@ def largest_error(records: Records, outfit: Outfit, motion: Motion) -> float:
     return min(largest)
 
 
-def table(records: Records, outfit: Outfit, error: float) -> str:
+def table(records: Records, outfit: Outfit, motion: Motion, error: float) -> str:
     """The figures, a line each. error: of the kept clouds [m], from `largest_error`."""
+    poses = len(_compared(records, outfit, motion))
     answers = [records.answers(garment) for garment in range(len(outfit.layers))]
     counts = np.array([each for each, _ in answers])
     delays = np.max([each for _, each in answers], axis=0)  # of the last garment's cloud
@@ -76,7 +79,7 @@ def table(records: Records, outfit: Outfit, error: float) -> str:
         "clouds received": f"{len(records.received)}",
         "clouds lost": f"{(counts != 1).sum()}",
         "clouds with values not finite": f"{records.not_finite}",
-        "largest error [mm]": f"{1e3 * error:.3f} in {len(_kept_frames(records))} poses compared with the core's",
+        "largest error [mm]": f"{1e3 * error:.3f} in {poses} poses compared with the core's",
         "evaluator [µs]": evaluator,
         "end to end [ms]": end_to_end,
         "instruction set": latest.get("instruction set", "?"),
@@ -105,6 +108,15 @@ def draw(path: Path, records: Records, outfit: Outfit, motion: Motion) -> None:
     for body, *cloth in frames:
         pictures.append(render(dressed_meshes(outfit, body, cloth), bounds=bounds, size=PICTURE_SIZE))
     save_png(path, contact_sheet(pictures, columns=COLUMNS, captions=captions))
+
+
+def _compared(records: Records, outfit: Outfit, motion: Motion) -> dict[int, np.ndarray]:
+    """Of the kept clouds those that are compared, by frame. Cloth that sways swings on from the pose in which a first
+    cloud was asked for, and when that was nobody knows: its first clouds are left out, if there are others."""
+    kept = dict(_kept_frames(records))
+    if all(layer.model.sway is None for layer in outfit.layers):
+        return kept
+    return {frame: cloud for frame, cloud in kept.items() if frame >= SWINGS_ON * motion.rate_hz} or kept
 
 
 def _kept_frames(records: Records) -> list[tuple[int, np.ndarray]]:

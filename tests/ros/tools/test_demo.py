@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from pathlib import Path
@@ -43,6 +44,15 @@ def test_demo_ends_well(start, leaning_model_path, tmp_path):
     assert table["clouds lost"] == table["clouds with values not finite"] == "0"
     assert float(table["largest error [mm]"].split()[0]) < 1
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_demo_of_the_readme_ends_well(start, tmp_path):
+    """What it wears unless told otherwise, for three seconds."""
+    pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    demo = start("physkin_core.cli", "demo", "--seconds", "3", "--output", str(tmp_path / "demo.png"))
+    output, _ = demo.communicate(timeout=180)
+    assert demo.returncode == 0, output
+    assert float(_table(output)["largest error [mm]"].split()[0]) < 1
 
 
 @pytest.mark.slow
@@ -111,6 +121,24 @@ def test_outfits_are_compared_frame_after_frame(made_records, outfit):
     wrong = np.concatenate([drape[layer.visible] for drape, layer in zip(drapes, outfit.layers)])
     for points, least, most in ((cloud, 0, 1e-7), (wrong, demo.ERROR_ALLOWED, 9)):
         records = made_records([1] * 6, kept=points[None], kept_stamps=np.array([15_000_000]))
+        assert least <= largest_error(records, outfit, motion) <= most
+
+
+def test_what_swings_on_from_before_the_first_frame_does_not_count(made_records, outfit):
+    """Its first second, where cloth sways; a cloud after that counts."""
+    motion = load_motion("dance")
+    positions, node, clouds = motion.positions_for(outfit.rig), outfit.twin(), []
+    late = math.ceil(motion.rate_hz) + 1
+    node.drape(positions[0])
+    for frame in range(late + 1):
+        drapes = node.drape(positions[frame], motion.gravity[frame], time=0.005 * frame)
+        if frame in (0, late):
+            clouds.append(np.concatenate(drapes))
+    stamps = np.array([0, 5_000_000 * late])
+    for moved, least, most in ((0, 0, 1e-7), (1, 0.009, 0.011)):
+        kept = np.array(clouds)
+        kept[moved, :, 0] += 0.01
+        records = made_records([1] * (late + 1), kept=kept, kept_stamps=stamps)
         assert least <= largest_error(records, outfit, motion) <= most
 
 
