@@ -168,7 +168,7 @@ def test_pictures_in_the_page(found_and_figures, draper, tmp_path, monkeypatch):
 def test_every_key_is_explained(figures):
     """docs/replay.md knows what --json writes."""
     text = (Path(__file__).parents[3] / "docs" / "replay.md").read_text()
-    named = set(re.findall(r"`(\w+)`", text))
+    named = set(re.findall(r"`(?:\w+\.)*(\w+)`", text))
     keys = set(figures)
     for section in ("bag", "run", "counts", "figures", "series"):
         keys |= set(figures[section])
