@@ -10,7 +10,7 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 
-__all__ = ["goes_round_both_legs", "reaches_knees", "thighs"]
+__all__ = ["goes_round_both_legs", "of_legs", "reaches_knees", "thighs"]
 
 LOOKED_AT = 0.75
 """Share of the garment's depth below the hips, at which it is looked whether it goes round both legs."""
@@ -39,7 +39,7 @@ def goes_round_both_legs(garment: Garment, rig: Rig, node_rest: np.ndarray, node
     level = hip + LOOKED_AT * (lowest - hip)
     if lowest >= hip or abs(_winding(garment, level, middle[:2])) < 0.5:
         return False
-    return bool((_of_legs(rig, hips)[node_bone] & (node_rest[:, 2] < hip)).any())  # a sleeve may hang as low
+    return bool((of_legs(rig)[node_bone] & (node_rest[:, 2] < hip)).any())  # a sleeve may hang as low
 
 
 def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:
@@ -59,8 +59,9 @@ def _winding(garment: Garment, level: float, axis: np.ndarray) -> float:
     return float(np.angle(ends[1] * ends[0].conj()).sum() / (2 * np.pi))
 
 
-def _of_legs(rig: Rig, hips: list[int]) -> np.ndarray:
+def of_legs(rig: Rig) -> np.ndarray:
     """(b,) whether a bone is between the root and a hip, or of a leg."""
+    hips = thighs(rig)
     wanted = rig.inherited(dict.fromkeys(hips, 1), 0).astype(bool)
     wanted[[above for hip in hips for above in rig.ancestors(hip)]] = True
     return wanted

@@ -15,7 +15,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import drive_size, pose_size
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.around_legs import reaches_knees, thighs
+from physkin_core.runtime.around_legs import of_legs, reaches_knees
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 
@@ -42,9 +42,9 @@ def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
     follow, and whole legs where cloth reaches the knees. Raises ValueError where none of them moves."""
     rig = model.rig
     followed = set(model.node_bone[free].tolist())
-    if reaches_knees(rig, model.node_bone[free]):
-        followed |= set(np.flatnonzero(rig.inherited(dict.fromkeys(thighs(rig), 1), 0)).tolist())
     moving = followed.union(*(rig.ancestors(bone) for bone in followed))
+    if reaches_knees(rig, model.node_bone[free]):
+        moving.update(np.flatnonzero(of_legs(rig)).tolist())
     joints = np.flatnonzero(np.isin(rig.dof_bones, list(moving))).astype(np.int32)
     if not len(joints):
         raise ValueError("no joint moves the garment nodes that are to sway: sway cannot be learnt")
