@@ -21,8 +21,8 @@ REFERENCE = ROOT / "docs" / "ros-reference.md"
 INTERFACES = ROOT / "msg_defs"
 HEAD = """# ROS reference
 
-Every parameter, topic, message and service of the node. [The ROS node](node.md) explains how they work together.
-`physkin node --help` prints parameters and topics. `python docs/ros_reference.py` makes this page from the code.
+Every parameter, topic, message and service of [the ROS node](node.md). `physkin node --help` prints parameters and
+topics, too.
 
 ## Parameters
 
@@ -30,8 +30,7 @@ Every parameter, topic, message and service of the node. [The ROS node](node.md)
 physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=0.5
 ```
 
-Parameters marked \\* may change while the node runs. All others are fixed once it is configured. Without a unit,
-lengths are in metres, angles in radians and times in seconds.
+Parameters marked \\* may change while the node runs.
 """
 TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
 NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w[\w/]*|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
@@ -40,14 +39,13 @@ PARTS = (
     (
         "Of each avatar",
         "With a single avatar, set a parameter by its name in this table, such as `body_mesh`. With several, put the "
-        "avatar's ID before it: `avatars.ID.body_mesh`. The default topics then [contain the "
-        "ID](#topics-and-services), too.",
+        "avatar's ID before it: `avatars.ID.body_mesh`. Default topics then [contain the ID](#topics-and-services), "
+        "too.",
         AvatarSettings,
     ),
     (
         "Of each garment",
-        "With a single avatar, set a parameter by its name in this table, such as `model`. With several, put the ID of "
-        "the avatar and the name of the garment before it: `avatars.ID.garments.NAME.model`.",
+        "With several avatars, put the avatar's ID and the garment's name before it: `avatars.ID.garments.NAME.model`.",
         GarmentSettings,
     ),
 )
@@ -101,7 +99,8 @@ def _topics() -> Iterator[str]:
     note = (
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
         "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
-        "they are below `~/NAME`. Types of `physkin_msgs` need that package; all others work without it."
+        "they are below `~/NAME`. Clouds have the stamp of their joint state, and are in the frame of the body's root. "
+        "Only types of `physkin_msgs` need that package."
     )
     yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"

@@ -51,23 +51,22 @@ GARMENT = Topic(
     "~/garment",
     "out",
     "sensor_msgs/PointCloud2",
-    "cloth: x, y, z [m] and normal_x, normal_y, normal_z of each vertex, float32, always finite. In the body's root "
-    "frame, with the stamp of the joint state",
+    "cloth: x, y, z [m] and normal_x, normal_y, normal_z of each vertex, float32, always finite",
 )
 SPLATS = Topic(
     "~/splats",
     "out",
     "sensor_msgs/PointCloud2",
-    "draped Gaussian splats, 28 bytes each. Published only while the topic has subscribers. x, y, z: float32 [m]. "
-    "rot_x, rot_y, rot_z, rot_w: a unit quaternion, int16 in units of 1/32767. scale_0, scale_1, scale_2: natural "
-    "logarithms of standard deviations [m], int16 in units of 1/1000",
+    "draped Gaussian splats, 28 bytes each, while the topic has subscribers. x, y, z: float32 [m]. rot_x, rot_y, "
+    "rot_z, rot_w: a unit quaternion, int16 in units of 1/32767. scale_0, scale_1, scale_2: natural logarithms of "
+    "standard deviations [m], int16 in units of 1/1000",
     needs="splats",
 )
 SPLAT_ATTRIBUTES = Topic(
     "~/splat_attributes",
     "out",
     "sensor_msgs/PointCloud2",
-    "everything else that the file says about each splat, under its own names (opacity, f_dc_0, ...). Latched",
+    "the file's other values of each splat, under its own names (opacity, f_dc_0, ...). Latched",
     needs="splats",
 )
 MARKER = Topic(
@@ -77,56 +76,53 @@ MESH = Topic(
     "~/mesh",
     "out",
     "physkin_msgs/GarmentMesh",
-    "what stays the same from frame to frame: triangles, rest vertices, skinning weights. Latched, and sent again "
-    "when it changes",
+    "what stays the same from frame to frame, such as triangles. Latched, and sent again when it changes",
 )
 GARMENT_NODES = Topic(
     "~/garment_nodes",
     "out",
     "physkin_msgs/GarmentNodes",
-    "the garment nodes of a frame: 6.5 KB instead of the 90 to 150 KB of a cloud. For readers that skin the cloth "
-    "themselves",
+    "the garment nodes of a frame, for readers that skin the cloth themselves",
 )
 JOINT_STATES = Topic(
     "joint_states",
     "in",
     "sensor_msgs/JointState",
-    "pose of the body: all or some joints by name, in any order [rad]",
+    "all or some joints by name, in any order [rad]",
 )
 BONE_ROTATIONS = Topic(
     "bone_rotations",
     "in",
     "sensor_msgs/MultiDOFJointState",
-    "pose of the body as rotations of bones, instead of joint states",
+    "rotations of bones, instead of joint states",
 )
 EFFECTIVE_GRAVITY = Topic(
     "~/effective_gravity",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "effective gravity: gravity minus the acceleration of the root, in the body's root frame, at most 29.4 m/s2; zero "
-    "in free fall. Each message replaces gravity for 0.5 s",
+    "gravity minus the acceleration of the root, in the root frame, at most 29.4 m/s2; zero in free fall. Each message "
+    "replaces all other sources for 0.5 s",
 )
 WIND = Topic(
     "~/wind",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "velocity of the air around all avatars, at most 13 m/s, in the world (Z up), whatever frame its header names. "
-    "Replaces the parameter wind",
+    "velocity of the air around all avatars, at most 13 m/s, in the world (Z up), whatever frame its header names",
 )
 DRAPED_JOINT_STATES = Topic(
     "~/joint_states",
     "out",
     "sensor_msgs/JointState",
-    "the joint positions that were draped [rad], for drawing the body, with the stamp of the joint state",
+    "the joint positions that were draped [rad], for drawing the body",
     needs="separate_limbs",
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "out",
     "diagnostic_msgs/DiagnosticArray",
-    "once a second, as text: rates, times, what was refused and why, how each garment sits",
+    "once a second: rates, times, what was refused and why, how each garment sits",
 )
-STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers, once a second")
+STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers")
 SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "puts another body under the garments")
 SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "puts another garment on")
 
@@ -137,15 +133,14 @@ TOPICS = (
         "gravity",
         "in",
         "geometry_msgs/Vector3Stamped",
-        "direction of gravity in the body's root frame, of any length but zero. Send it before the joint state that "
-        "it belongs to",
+        "direction of gravity in the root frame, of any length but zero. Send it before its joint state",
         needs="orientation: gravity",
     ),
     Topic(
         "pose",
         "in",
         "geometry_msgs/PoseStamped",
-        "where the body's root is, in a frame whose Z is up. This gives gravity, and lets cloth sway",
+        "where the root is, in a frame whose Z is up",
         needs="orientation: pose",
     ),
     Topic(
@@ -167,8 +162,8 @@ TOPICS = (
         "imu",
         "in",
         "sensor_msgs/Imu",
-        "an IMU with the axes of the root. Its orientation gives gravity. Its linear acceleration (at rest 9.81 m/s2 "
-        "upwards) is smoothed and lets cloth lean. Without an orientation, the acceleration gives both",
+        "an IMU with the axes of the root. Its orientation gives gravity; its linear acceleration (at rest 9.81 m/s2 "
+        "upwards) lets cloth sway. Without an orientation, the acceleration gives both",
         needs="orientation: imu",
     ),
     EFFECTIVE_GRAVITY,

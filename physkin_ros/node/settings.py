@@ -74,29 +74,28 @@ class GarmentSettings:
     name: str
     model: str = _key(
         "tshirt",
-        "garment to wear: a shipped name or a .safetensors file, with fabric and colour as in skirt:denim:navy or "
-        "skirt:bend=2e-5+density=0.18. A single avatar can wear several, joined by commas, from the skin outwards",
+        "garment to wear: a shipped name or a .safetensors file, also with fabric and colour (skirt:denim:navy). A "
+        "single avatar can wear several, joined by commas, from the skin outwards",
         changes=True,
         may_be_empty=False,
     )
     tucked: bool = _key(False, "tuck the hem into the next garment outwards that is not tucked itself")
     precision: str = _key(
         "",
-        "precision of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
+        "of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
         choices=("", *PRECISIONS),
     )
     fit: float | None = _key(
         None,
-        "0 is one size, 1 is made to measure for this body. Empty: 1 if the model was trained on the default "
-        "rig, as all shipped ones were; others can only be worn in one size",
+        "0: one size, 1: made to measure. Empty: 1, or 0 for a model with a rig of its own, which allows no other",
         low=0,
         high=1,
     )
     sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
     normals: str = _key(
         "skinned",
-        "skinned: normals follow the garment nodes; faces: normals are computed from the draped mesh, which is "
-        "more exact and takes about 2 ns a vertex. Garments with detail nodes, as all shipped ones, always use faces",
+        "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh, which is more "
+        "exact and takes 2 ns a vertex. Garments with detail nodes, as all shipped ones, always use faces",
         choices=NORMALS,
     )
     namespace: str = _key(
@@ -104,10 +103,10 @@ class GarmentSettings:
     )
     splats: str = _key(
         "",
-        "PLY file of Gaussian splats that lie on this garment, as for physkin bind-points; they are published on "
-        "~/splats. Only if the avatar wears a single garment, or with outfit: false",
+        "PLY file of Gaussian splats that lie on this garment; they are published on ~/splats. Only if the avatar "
+        "wears a single garment, or with outfit: false",
     )
-    publish_marker: bool = _key(False, "also publish the garment as a visualization_msgs/Marker of triangles, for RViz")
+    publish_marker: bool = _key(False, "also publish the garment as triangles, for RViz")
 
     @property
     def file(self) -> str:
@@ -125,8 +124,7 @@ class AvatarSettings:
     joint_states: str = _key("", "topic of sensor_msgs/JointState. Empty: joint_states")
     bone_rotations: str = _key(
         "",
-        "topic of sensor_msgs/MultiDOFJointState, with rotations of bones instead of joint states. Empty: "
-        "bone_rotations",
+        "topic of sensor_msgs/MultiDOFJointState. Empty: bone_rotations",
     )
     body_mesh: str = _key(
         "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. Empty: the bundled avatar", changes=True
@@ -138,7 +136,7 @@ class AvatarSettings:
     )
     joint_map: str = _key(
         "",
-        "names of incoming joints: ros4hri (REP-155), vrm (VRM humanoid bones), or a JSON file. Empty: the rig's own",
+        "names of joints in messages: ros4hri (REP-155), vrm, or a JSON file. Empty: the rig's own",
     )
     missing_joints: str = _key(
         "last",
@@ -147,24 +145,23 @@ class AvatarSettings:
     )
     frame_id: str = _key(
         "",
-        "frame of the clouds: the body's root, X forward, Y left, Z up. Empty: base_link; for one of several avatars "
-        "its ID; for a discovered body body_ID",
+        "frame of the body's root, in which clouds are. Empty: base_link; for one of several avatars its ID; for a "
+        "discovered body body_ID",
     )
     gravity: tuple[float, ...] = _key(
         UPRIGHT_GRAVITY.tolist(),
-        "direction of gravity in the body's root frame, until the orientation source gives one",
+        "direction of gravity in the root frame, until a message gives one",
         changes=True,
     )
     orientation: str = _key(
         "gravity",
-        "what says where down is. gravity (Vector3Stamped), joints (roll and pitch in the joint states) and fixed "
-        "(the parameter gravity) tell only this; cloth then sways with arms and legs alone. pose (PoseStamped), "
-        "odometry (Odometry), tf and imu (Imu) also tell how the root moves, so that cloth sways with that, too",
+        "what says where down is: gravity, joints (roll and pitch in the joint states) or fixed (the parameter "
+        "gravity). pose, odometry, tf and imu also say how the root moves, so that cloth sways with it",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
         "",
-        "topic of the orientation source, if that is gravity, pose, odometry or imu. Empty: its name, such as pose",
+        "topic of gravity, pose, odometry or imu. Empty: the value of orientation",
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
@@ -182,49 +179,47 @@ class AvatarSettings:
     )
     wind: tuple[float, ...] = _key(
         [0.0, 0.0, 0.0],
-        "velocity of the air, at most 13 m/s, in the world. If only gravity is known: in a level frame that faces "
-        "the same way as the body. A message on ~/wind replaces it",
+        "velocity of the air [m/s] in the world, at most 13 m/s, until a message on ~/wind. If only gravity is known: "
+        "in a level frame that faces the same way as the body",
         changes=True,
     )
     imu_delay: float = _key(
         USUAL_DELAY,
-        "[s] time constant by which the acceleration of an IMU is smoothed; cloth follows that much later. 0: no "
-        "smoothing",
+        "[s] over which an IMU's acceleration is smoothed; cloth follows that much later. 0: no smoothing",
         low=0,
         high=5,
     )
     world_frame: str = _key(
         "world",
-        "frame whose Z is up: for orientation: tf, and for publish_tf if a pose names no frame",
+        "frame whose Z is up, for orientation: tf, and for publish_tf if a pose names no frame",
         may_be_empty=False,
     )
     publish_tf: bool = _key(
         False,
-        "publish TF to frame_id, from the messages of orientation: pose or orientation: odometry. Set this "
-        "only if nobody else publishes this transform: a frame can have only one parent",
+        "publish the messages of orientation: pose or orientation: odometry as TF to frame_id. Only if nobody else "
+        "publishes this transform",
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] rate of the clouds. They are interpolated between joint states, so they come one joint state late. "
-        "0: a cloud for each joint state",
+        "[Hz] of clouds, interpolated between joint states; they come one joint state late. 0: a cloud for each joint "
+        "state",
         low=0,
         high=1000,
     )
     separate_limbs: bool = _key(
         False,
-        "move arms and legs out of the trunk and of each other before draping; ~/joint_states publishes the "
-        "positions that were draped",
+        "move arms and legs out of the trunk and of each other before draping",
     )
     outfit: bool = _key(
         True,
-        "wear several garments over each other; false: drape each by itself",
+        "order several garments as layers; false: drape each by itself",
     )
     layers: tuple[str, ...] = _key(
         [""], "names of the garments from the skin outwards. Empty: the order in which they are given"
     )
     hide_covered: bool = _key(
         True,
-        "leave out of the clouds what outer garments cover in everyday poses; false: clouds have all vertices",
+        "leave out of the clouds what outer garments cover in everyday poses",
     )
     discover: str = _key(
         "",
@@ -247,36 +242,34 @@ class NodeSettings:
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],
-        "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that "
-        "it started with. Shipped files are always allowed",
+        "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that it "
+        "started with. Shipped files are always allowed",
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
-        "[s] how long loading a body or a garment may take. After that the avatar keeps what it wears",
+        "[s] that loading a body or a garment may take. After that the avatar keeps what it wears",
         low=1,
         high=3600,
     )
     load_memory_limit: int = _key(
         LOAD_MEMORY_LIMIT,
-        "[MiB] of memory that loading may use in addition to what its process starts with",
+        "[MiB] of memory that loading may add to its process",
         low=64,
         high=1 << 20,
     )
     deadline: float = _key(
         0.0,
-        "[s] time from the arrival of a joint state to its last cloud. Joint states that take longer are counted. "
-        "0: no limit",
+        "[s] from a joint state to its last cloud; longer ones are counted. 0: no limit",
         changes=True,
         low=0,
         high=60,
     )
     max_bodies: int = _key(
-        8, "number of discovered bodies that are dressed at the same time; others wait", low=1, high=64
+        8, "number of discovered bodies that are dressed at once; others wait", low=1, high=64
     )
     clear_shared_memory: bool = _key(
         False,
-        "when the node starts, delete files in /dev/shm that were left behind by Fast DDS processes of this user that "
-        "were killed",
+        "at the start, delete files in /dev/shm that killed Fast DDS processes of this user left behind",
     )
 
 
