@@ -30,9 +30,8 @@ topics, too.
 physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=0.5
 ```
 
-Parameters marked \\* may change while the node runs.
+Parameters marked \\* may change while the node runs. The default shows the type; *empty* is an empty string.
 """
-TYPES = {"str": "string", "bool": "bool", "float": "number", "int": "whole number", "float | None": "number or empty"}
 NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w[\w/]*|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
 PARTS = (
     ("Of the node", "", NodeSettings),
@@ -61,30 +60,28 @@ def _parameters() -> Iterator[str]:
         yield f"### {title}\n"
         if where:
             yield f"{fill(where, 120)}\n"
-        yield "| parameter | type | default | |\n|---|---|---|---|"
+        yield "| parameter | default | |\n|---|---|---|"
         for field in fields(kind):
             if field.metadata:
-                yield _parameter(field.name, str(field.type), field.metadata["setting"])
+                yield _parameter(field.name, field.metadata["setting"])
         yield ""
 
 
-def _parameter(name: str, kind: str, setting: Setting) -> str:
-    text = TYPES.get(kind) or f"list of {'strings' if 'str' in kind else 'numbers'}"
-    default = _default(setting.declared)
+def _parameter(name: str, setting: Setting) -> str:
+    default = "empty, or a number" if setting.default is None else _default(setting.default)
     allowed = f" Allowed: {_range(setting)}." if _range(setting) else ""
     mark = " \\*" if setting.changes else ""
     description = re.sub(
         rf"(?<![\w(])({'|'.join(filter(None, setting.choices)) or '(?!)'})\b", r"`\1`", setting.description
     )
-    return f"| `{name}`{mark} | {text} | {default} | {_cell(description.rstrip('.'))}.{allowed} |"
+    return f"| `{name}`{mark} | {default} | {_cell(description.rstrip('.'))}.{allowed} |"
 
 
 def _default(value: object) -> str:
+    """In such a way that the type is seen."""
     if isinstance(value, list):
-        return ", ".join(map(_default, value))
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, int | float) else value or "empty"
+        return f"[{', '.join(_default(each) for each in value if each != '')}]"
+    return str(value).lower() if isinstance(value, bool) else str(value) or "empty"
 
 
 def _range(setting: Setting) -> str:
@@ -118,8 +115,8 @@ def _interfaces() -> Iterator[str]:
         head, parts = _read(path)
         yield f"### {path.stem}\n\n{fill(head, 120)}\n"
         for title, rows in parts.items():
-            yield f"| {title} | type | |\n|---|---|---|"
-            yield from (f"| `{name}` | `{kind}` | {_cell(text)} |" for name, kind, text in rows)
+            yield f"| {title} | |\n|---|---|"
+            yield from (f"| `{name}`: `{kind}` | {_cell(text)} |" for name, kind, text in rows)
             yield ""
 
 

@@ -264,9 +264,7 @@ class NodeSettings:
         low=0,
         high=60,
     )
-    max_bodies: int = _key(
-        8, "number of discovered bodies that are dressed at once; others wait", low=1, high=64
-    )
+    max_bodies: int = _key(8, "number of discovered bodies that are dressed at once; others wait", low=1, high=64)
     clear_shared_memory: bool = _key(
         False,
         "at the start, delete files in /dev/shm that killed Fast DDS processes of this user left behind",
