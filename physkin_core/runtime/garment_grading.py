@@ -9,6 +9,9 @@ Dimensions: `n` garment vertices, `V` body vertices, `c` shape coefficients. Met
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
@@ -82,10 +85,18 @@ class GarmentGrading:
         return cKDTree(self.garment.vertices).query(points)[1]
 
     def graded(self, coefficients: np.ndarray) -> np.ndarray:
-        """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c)."""
+        """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c). Many bodies
+        take all cores."""
         parts = np.array_split(np.asarray(coefficients), range(TOGETHER, len(coefficients), TOGETHER))
-        surfaces = (np.stack([self.body.vertices(row).astype(np.float64) for row in part]) for part in parts)
-        return self.garment.vertices + np.concatenate([self.measured(surface) for surface in surfaces])
+        if len(parts) == 1:
+            moved = [self._measured(coefficients)]
+        else:
+            with ThreadPoolExecutor(min(len(parts), len(os.sched_getaffinity(0)))) as threads:
+                moved = list(threads.map(self._measured, parts))
+        return self.garment.vertices + np.concatenate(moved)
+
+    def _measured(self, coefficients: np.ndarray) -> np.ndarray:
+        return self.measured(np.stack([self.body.vertices(row).astype(np.float64) for row in coefficients]))
 
 
 class _Smoothing:

@@ -28,7 +28,7 @@ TURN_EVERY, FIRST_TURNS = 50, 10
 SIDES = ("rows", "columns")
 
 
-class Soap(torch.optim.Optimizer):
+class Soap:
     """Descends networks by SOAP, and what is no matrix of them and `others` by Adam.
 
     units: by parameter, a tensor that its gradient can be multiplied by: these parameters move as if they were numbers
@@ -36,6 +36,8 @@ class Soap(torch.optim.Optimizer):
     matrices, networks' vectors, others. All state lies in `state`, by parameter: "exp_avg" and "exp_avg_sq", in the
     eigenbases where there are any, and for each side that has one "covariance_rows", "basis_rows",
     "covariance_columns", "basis_columns".
+
+    It has what an optimiser of torch has, but is none: these import torch's compiler, which takes some six seconds.
     """
 
     def __init__(
@@ -52,9 +54,10 @@ class Soap(torch.optim.Optimizer):
         groups = [(matrices, BETAS), (vectors, ADAM_BETAS), (others, ADAM_BETAS)]
         self.steps = torch.zeros((), device=device)
         self._units = dict(units or {})
-        super().__init__([{"params": list(p), "betas": betas} for p, betas in groups if p], {"lr": 0.0})
-        for group in self.param_groups:
-            group["lr"] = torch.zeros((), device=device)
+        self.param_groups = [
+            {"params": list(p), "betas": betas, "lr": torch.zeros((), device=device)} for p, betas in groups if p
+        ]
+        self.state: dict[Parameter, dict[str, torch.Tensor]] = {}
         for parameter in networks + list(others):
             state = {name: torch.zeros_like(parameter) for name in ("exp_avg", "exp_avg_sq")}
             if any(parameter is matrix for matrix in matrices):
@@ -72,6 +75,12 @@ class Soap(torch.optim.Optimizer):
                 tensor.zero_()
                 if name.startswith("basis"):
                     tensor.fill_diagonal_(1.0)
+
+    def zero_grad(self) -> None:
+        """Forget all gradients."""
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                parameter.grad = None
 
     @torch.no_grad()
     def step(self) -> None:

@@ -32,7 +32,8 @@ class Worn:
 
 
 class MadeToMeasure:
-    """Row 0 of `shapes` (1 + S, n, 3) float64, NumPy, is the template, row 1 + k is graded to body k.
+    """Row 0 of `shapes` (R, n, 3) float64, NumPy, is the template, the others are graded to the bodies: one for all of
+    the same coefficients, whatever they wear under it, in the order of the first of these.
 
     fit: how far from the template to the graded shape, 0 to 1. `node_positions` (2 S, m, 3): of all bodies at the
     template, then of all made to measure. Garment nodes go from where their bones carry them to where the graded
@@ -44,18 +45,27 @@ class MadeToMeasure:
     ) -> None:
         device = drape.node_rest.device
         grading = GarmentGrading(garment, body_model)
-        displacement = fit * (grading.graded(bodies.coefficients) - garment.vertices)
+        coefficients, row = _distinct(bodies.coefficients)
+        displacement = fit * (grading.graded(coefficients) - garment.vertices)
         displacement = np.concatenate([np.zeros_like(displacement[:1]), displacement])
         self.shapes = garment.vertices + displacement
         self._vertices = torch.as_tensor(self.shapes, dtype=torch.float32, device=device)
         moved = displacement[:, grading.closest_vertices(drape.node_rest.cpu().numpy())]
         self._nodes = drape.node_rest + torch.as_tensor(moved, dtype=torch.float32, device=device)
         carried = drape.node_positions(bodies)
-        graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[1:]
+        self._row = torch.as_tensor(1 + row, device=device)
+        graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[self._row]
         self.node_positions = torch.cat([carried, graded])
 
     def worn(self, body: torch.Tensor, made: torch.Tensor) -> Worn:
         """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure."""
-        rows = torch.where(made, 1 + body, 0)
-        positions = self.node_positions[body + made * (len(self.shapes) - 1)]
+        rows = torch.where(made, self._row[body], 0)
+        positions = self.node_positions[body + made * len(self._row)]
         return Worn(rows, positions, RestShape(self._vertices[rows], self._nodes[rows]))
+
+
+def _distinct(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows (S, c) that differ, in the order in which they come, and which of these each row is (S,)."""
+    _, first, which = np.unique(coefficients, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return coefficients[first[order]], np.argsort(order)[which.reshape(-1)]

@@ -80,7 +80,7 @@ def fitted_rest_normals(
         known, downs = everyday.sample(poses // 2, generator=drawn)
         joints = np.concatenate([joints, known.numpy()])
         gravity = torch.cat([torch.tensor([[0.0, 0.0, -1.0]]).expand(far, 3), downs]).to(device)
-        transforms = np.stack([rig.bone_transforms(pose, heads=heads[body]) for pose in joints])
+        transforms = rig.bone_transforms(joints, heads=heads[body])
         bones, positions = (torch.as_tensor(a, dtype=torch.float32, device=device) for a in (transforms, joints))
         posed = drape.posed_nodes(bones, node_positions[body].expand(poses, -1, -1))
         nodes, detail = drape.draped(modulations[body].expand(poses, -1), positions, gravity, posed)

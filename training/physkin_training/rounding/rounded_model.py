@@ -163,7 +163,7 @@ def _frames(
         bound = bind_garment(model, avatar, fit=fit)
         positions, gravity = _poses(model.rig, random)
         skeleton = (bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis)
-        bones = np.stack([forward_kinematics(*skeleton, q - bound.dof_rest) for q in positions])
+        bones = forward_kinematics(*skeleton, positions - bound.dof_rest)
         nodes = bones[:, bound.node_bone]
         nodes[..., 3] += np.einsum("fmij,mj->fmi", nodes[..., :3], bound.node_positions)
         poses = pose_vector(positions, model.rig.lower, model.rig.upper, gravity)

@@ -114,7 +114,7 @@ def tuned_network(
         loss = (error + SWING * swing_error) / spread + ENERGY * min(
             1.0, (step + 1) / (GROWS_FOR * steps)
         ) * energy / swing
-        optimiser.zero_grad(set_to_none=True)
+        optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         optimiser.turn_bases(step + 1)

@@ -71,7 +71,7 @@ def learnt_network(
         coefficients = network.out(window.hidden(network))
         loss = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
         loss = loss + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
-        optimiser.zero_grad(set_to_none=True)
+        optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         optimiser.turn_bases(step + 1)

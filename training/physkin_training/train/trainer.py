@@ -148,7 +148,7 @@ class Trainer:
         self._recorded = RecordedStep(
             lambda: self.take_step(),
             device,
-            clear=lambda: self.optimiser.zero_grad(set_to_none=True),
+            clear=lambda: self.optimiser.zero_grad(),
             in_company=count > 1,
         )
         # Nothing is pruned before the first step, whatever its schedule says.
@@ -267,7 +267,7 @@ class Trainer:
         self.config, self.step, self.schedule = config, step, schedule
         for drape, state in zip(drapes, states):
             drape.load_state_dict(state)
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.zero_grad()
         self.optimiser.reset()
         for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
             tensor.zero_()
@@ -408,7 +408,7 @@ class Trainer:
                 node_positions=worn.node_positions,
                 body=body_index,
             )
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.zero_grad()
         loss.backward()
         self.processes.average([parameter.grad for parameter in self.drape.parameters()])
         norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), LARGEST_GRADIENT, foreach=True)
