@@ -48,14 +48,6 @@ def test_tables_of_shipped_garments(everyday, formats):
     assert tables(NOTEBOOK)[0 if everyday else 1] == wanted
 
 
-def test_table_of_the_page():
-    """Columns of the notebook's table of everyday motion, of the skin only what is in sight."""
-    wanted = []
-    for name, *strain, _, inside_worn, _, skin, _, jitter in tables(NOTEBOOK)[0]:
-        wanted.append([name, *strain, inside_worn, re.search(r"\((.+)\)", skin)[1], jitter])
-    assert tables(PAGE)[1] == wanted
-
-
 def test_every_shipped_garment_is_described():
     """With its number of vertices."""
     rows = tables(PAGE)[0]
