@@ -180,6 +180,18 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
         fit_garment.trainer_in_time(few, CPU, TimeBudget(10, clock=watch))
 
 
+@pytest.mark.parametrize(("spent", "steps"), [(35.0, 600), (58.0, 100)])
+def test_a_command_in_a_hurry_times_no_steps(monkeypatch, spent, steps):
+    """On a GPU with a minute for all: of what is left a quarter of a minute is for the report. A hundred steps are taken
+    all the same."""
+    watch = Watch()
+    monkeypatch.setattr(fit_garment, "Trainer", lambda config, _: SimpleNamespace(config=config))
+    budget = TimeBudget(1, clock=watch)
+    watch.now = spent
+    trainer = fit_garment.trainer_in_time(TrainingConfig("band", Path("band.obj")), torch.device("cuda"), budget)
+    assert trainer.config.optimisation.steps == steps
+
+
 @pytest.fixture
 def write_vest(garment_model, template, tmp_path, monkeypatch):
     """Writes the report on a small model with tiny pictures; returns the page."""

@@ -139,7 +139,7 @@ class Evaluation:
     def rest_garment(self, body: int) -> Garment:
         """The garment in the rest shape that body `body` of this evaluation wears."""
         garment = self.model.garment
-        return garment.reshaped(self._fits.shapes[1 + body]) if self._fits else garment
+        return garment.reshaped(self._fits.shape_of(body)) if self._fits else garment
 
     def new_figures(self) -> Figures:
         """Figures that count nothing yet, with strains against this evaluation's rest shapes."""

@@ -19,7 +19,7 @@ __all__ = ["ADVICE", "DEFAULT_MINUTES", "FEWEST_STEPS", "add_training_options", 
 DESCRIPTION = "Check, repair and train a garment mesh or a sewing pattern of your own, and write a report."
 DEFAULT_MINUTES = {"cuda": 15.0, "cpu": 480.0}
 """A GPU in minutes, a CPU overnight."""
-LEAST_MINUTES = {"cuda": 2.0, "cpu": 4.0}
+LEAST_MINUTES = {"cuda": 1.0, "cpu": 4.0}
 """Of the default recipe: half of it or more passes before the first step and after the last one."""
 FEWEST_STEPS = 100
 """Shorter runs do not even get through the warm-up."""

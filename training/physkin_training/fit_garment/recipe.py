@@ -12,7 +12,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_training.config import DetailConfig, OptimisationConfig, TrainingConfig
 from physkin_training.networks.export import network_config
 
-__all__ = ["default_recipe", "has_sizes_of", "started_from"]
+__all__ = ["STEPS_A_SECOND", "default_recipe", "has_sizes_of", "in_a_hurry", "started_from"]
 
 DETAIL = DetailConfig(nodes=1024)
 OTHER_BENDING = 0.3
@@ -23,9 +23,10 @@ ON_CPU = OptimisationConfig(
 """A step has to be short there, or there are too few; all 4,096 points of the bodies take longer than all the rest."""
 BODIES_ON_CPU = 64
 """Training bodies: the garment is graded to each before the first step."""
-HURRIED, BODIES_IN_A_HURRY = 300.0, 128
+HURRIED, BODIES_IN_A_HURRY, STEPS_A_SECOND = 300.0, 128, 60.0
 """[s] A whole command that has less on a GPU takes so many: all 512 take 40 s there, and 150 steps from a shipped
-garment 5 s."""
+garment 5 s. Nor does it time steps, which takes some seconds, but plans for so many a second, about what an H100
+takes."""
 GENTLE = {
     "learning_rate": 5e-4,
     "warm_up": 0.05,
@@ -45,8 +46,13 @@ def default_recipe(name: str, mesh: Path, device: torch.device, *, seconds: floa
     """What shipped garments were trained with, in portions for the device. seconds: that the whole command has."""
     if device.type == "cuda":
         recipe = TrainingConfig(name, mesh, optimisation=ON_GPU, detail=DETAIL)
-        return replace(recipe, train_bodies=BODIES_IN_A_HURRY) if seconds < HURRIED else recipe
+        return replace(recipe, train_bodies=BODIES_IN_A_HURRY) if in_a_hurry(device, seconds) else recipe
     return TrainingConfig(name, mesh, optimisation=ON_CPU, detail=DETAIL, train_bodies=BODIES_ON_CPU)
+
+
+def in_a_hurry(device: torch.device, seconds: float) -> bool:
+    """Whether a command that has so many seconds in all leaves out what takes long before the first step."""
+    return device.type == "cuda" and seconds < HURRIED
 
 
 def has_sizes_of(recipe: TrainingConfig, model: GarmentModel) -> bool:

@@ -57,6 +57,10 @@ class MadeToMeasure:
         graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[self._row]
         self.node_positions = torch.cat([carried, graded])
 
+    def shape_of(self, body: int) -> np.ndarray:
+        """The rest shape (n, 3) of a body of the set."""
+        return self.shapes[int(self._row[body])]
+
     def worn(self, body: torch.Tensor, made: torch.Tensor) -> Worn:
         """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure."""
         rows = torch.where(made, self._row[body], 0)
