@@ -182,8 +182,7 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
 
 @pytest.mark.parametrize(("spent", "steps"), [(35.0, 600), (58.0, 100)])
 def test_a_command_in_a_hurry_times_no_steps(monkeypatch, spent, steps):
-    """On a GPU with a minute for all: of what is left a quarter of a minute is for the report. A hundred steps are taken
-    all the same."""
+    """On a GPU with a minute for all, a quarter of it for the report. A hundred steps are taken all the same."""
     watch = Watch()
     monkeypatch.setattr(fit_garment, "Trainer", lambda config, _: SimpleNamespace(config=config))
     budget = TimeBudget(1, clock=watch)
