@@ -145,8 +145,8 @@ class AvatarSettings:
     )
     frame_id: str = _key(
         "",
-        "frame of the body's root, in which clouds are. Empty: base_link; for one of several avatars its ID; for a "
-        "discovered body body_ID",
+        "frame of the body's root, and of clouds. Empty: base_link; with several avatars the ID; for a discovered body "
+        "body_ID",
     )
     gravity: tuple[float, ...] = _key(
         UPRIGHT_GRAVITY.tolist(),
@@ -179,8 +179,8 @@ class AvatarSettings:
     )
     wind: tuple[float, ...] = _key(
         [0.0, 0.0, 0.0],
-        "velocity of the air [m/s] in the world, at most 13 m/s, until a message on ~/wind. If only gravity is known: "
-        "in a level frame that faces the same way as the body",
+        "velocity of the air in the world, at most 13 m/s, until a message on ~/wind. If only gravity is known: in a "
+        "level frame that faces the same way as the body",
         changes=True,
     )
     imu_delay: float = _key(
@@ -242,8 +242,8 @@ class NodeSettings:
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],
-        "folders from which bodies and garments may be loaded while the node runs. Empty: those of the files that it "
-        "started with. Shipped files are always allowed",
+        "folders from which a running node may load bodies and garments, besides shipped ones. Empty: those of the "
+        "files that it started with",
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
