@@ -7,8 +7,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 __all__ = ["learnt", "longer_or_not", "loss_curve", "read_losses", "recorded_seconds", "taken_over", "undertrained"]
 
 LAST, STILL_FALLING = 0.25, 2.0
@@ -29,6 +27,8 @@ def loss_curve(rows: list[dict]) -> str:
     points = [(step, energy) for step, energy in points if energy > 0]
     if len(points) < 2:
         return '<p class="note">Too short a run for a curve.</p>'
+    from matplotlib.figure import Figure  # takes a second, which would be before the first picture
+
     figure = Figure(figsize=(8, 2.6), layout="tight")
     axes = figure.subplots()
     axes.semilogy(*zip(*points))
