@@ -12,17 +12,18 @@ import pytest
 @pytest.fixture(autouse=True, scope="session")
 def quiet():
     """Warp says nothing of what it compiles, the set that models are chosen by is a quarter of its size, models before
-    training are looked at on one body, and networks are rounded over few bodies and poses."""
+    training are looked at on one body, and networks are normalised and rounded over few bodies and poses."""
     try:
         import warp as wp
 
         from physkin_training.fit_garment import first_model
         from physkin_training.rounding import rounded_model
-        from physkin_training.train import validation
+        from physkin_training.train import trainer, validation
     except ImportError:
         return
     wp.config.quiet = True
     validation.BATCHES = 1
+    trainer.NORMALISING_POSES = 64
     first_model.BODIES = 0
     rounded_model.BODIES, rounded_model.EVERYDAY, rounded_model.FARTHER, rounded_model.ENCODED_BODIES = 3, 50, 50, 24
 
