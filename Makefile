@@ -35,8 +35,12 @@ demo: $(VENV)/installed-demo
 	$(VENV)/bin/physkin demo --seconds $(DEMO_SECONDS) --output demo.png
 endif
 
-# One thread each while several run. A test still running after ten minutes counts as hung, and fails.
-test: $(VENV)/installed-test $(if $(shell command -v emcmake),wasm)
+# One thread each while several run. A test still running after ten minutes counts as hung, and fails. The evaluator for
+# browsers is compiled while packages are installed.
+WASM := $(if $(shell command -v emcmake),wasm)
+test:
+	$(MAKE) --jobs 2 $(VENV)/installed-test $(WASM:wasm=$(WEB)/made)
+	$(if $(WASM),$(MAKE) wasm)
 	OMP_NUM_THREADS=1 $(PYTEST) -m "not slow" --numprocesses $(PROCESSES) --dist loadfile --timeout 600
 
 # One test at a time: some measure times.
@@ -64,7 +68,7 @@ wasm: $(WEB)/made $(VENV)/installed-view
 $(WEB)/made: $(WEB_FROM)
 	mkdir -p build
 	emcmake cmake -S native -B build/wasm -DPHYSKIN_PYTHON_MODULE=OFF > build/wasm.log
-	cmake --build build/wasm --target physkin_wasm >> build/wasm.log
+	cmake --build build/wasm --target physkin_wasm --parallel $(PROCESSES) >> build/wasm.log
 	mkdir -p $(WEB)/page/three/addons/loaders $(WEB)/page/three/addons/controls $(WEB)/page/three/addons/utils
 	cp native/web/*.js native/web/*.ts native/web/package.json build/wasm/physkin.wasm LICENSE $(WEB)
 	npm install --silent --no-fund --no-audit --prefix $(WEB)
