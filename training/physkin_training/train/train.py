@@ -83,8 +83,8 @@ def main(
     trainer: Trainer | None = None,
 ) -> int:
     """Command line entry. within: seconds of training; where the run would take longer, steps are left out on the way
-    (in one process). shown: where the best model so far is written now and then while it trains. trainer: of the
-    configuration, on the device, before its first step; it is made here by default."""
+    (in one process). shown: where the best model so far is written now and then while it trains, and at the end before
+    it is rounded. trainer: of the configuration, on the device, before its first step; it is made here by default."""
     arguments = command_parser().parse_args(argv)
     try:
         garment = arguments.garment
@@ -129,7 +129,7 @@ def main(
         return 0
     path = arguments.output / f"{config.name}.safetensors"
     try:
-        export(trainer, path)
+        export(trainer, path, shown=shown)
     except ExportError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -213,13 +213,16 @@ def _train(
     return None
 
 
-def export(trainer: Trainer, path: Path) -> GarmentModel:
-    """Write the model of the run's best drape, and return it. Raises ExportError, and writes nothing, when it drapes
-    otherwise, rounded as finely as can be."""
+def export(trainer: Trainer, path: Path, *, shown: Path | None = None) -> GarmentModel:
+    """Write the model of the run's best drape, and return it. shown: where it is written at once, not rounded. Raises
+    ExportError, and writes nothing as `path`, when it drapes otherwise, rounded as finely as can be."""
     drape = trainer.best_drape()
     if best := trainer.best:
         log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
     model = _best_model(trainer)
+    if shown:
+        save_garment_model(model, shown)
+        log.info("wrote %s as it was trained; now it is rounded, compared and measured", shown)
     model = replace(model, rest_normals=fitted_rest_normals(drape, trainer.garment, trainer.rig))
     try:
         return store_checked(rounded_model(model, device=trainer.device), drape, path)
