@@ -94,8 +94,8 @@ class GarmentSettings:
     sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
     normals: str = _key(
         "skinned",
-        "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh, which is more "
-        "exact and takes 2 ns a vertex. Garments with detail nodes, as all shipped ones, always use faces",
+        "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh (2 ns a vertex). "
+        "Garments with detail nodes, as all shipped ones, always use faces",
         choices=NORMALS,
     )
     namespace: str = _key(
@@ -253,7 +253,7 @@ class NodeSettings:
     )
     load_memory_limit: int = _key(
         LOAD_MEMORY_LIMIT,
-        "[MiB] of memory that loading may add to its process",
+        "[MiB] of memory that loading may take",
         low=64,
         high=1 << 20,
     )
