@@ -40,7 +40,7 @@ def state(trainer):
     best = vars(trainer.best) if trainer.best else {}
     scalars = trainer.range, trainer.losses.collision.stiffness
     networks = dict(trainer.drape.state_dict()), dict(trainer.averaged.state_dict())
-    return *networks, trainer.optimiser.state_dict()["state"], best, scalars
+    return *networks, list(trainer.optimiser.state.values()), best, scalars
 
 
 @pytest.mark.parametrize("stop", [2, 6, 11])
