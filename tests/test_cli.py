@@ -19,6 +19,7 @@ from safetensors.numpy import load_file
 import physkin_core
 from physkin_core import Draper, LimbSeparator, Outfit, cli, load_avatar, load_motion, save_garment_model
 from physkin_core.extras import install_command
+from physkin_core.render import filming
 from physkin_core.tensor_file import read_tensors
 
 AVATAR = physkin_core.BUNDLED_AVATAR
@@ -253,10 +254,11 @@ def test_usage_names_every_command(capsys):
         cli.main(["dance"])
 
 
-def test_drape_draws_a_strip(tmp_path, capsys):
+def test_drape_draws_a_strip(tmp_path, capsys, monkeypatch):
     """Frames of a motion from front and back in one picture; what cannot be drawn is told in one line."""
     image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
+    monkeypatch.setattr(filming, "FRAME_SIZE", (45, 80))
     out = tmp_path / "strip.png"
     drape = ["drape", str(AVATAR), "-o", str(out), "--strip"]
     assert cli.main([*drape, "2"]) == 0

@@ -144,13 +144,13 @@ def draw_strip(outfit: Outfit, motion: Motion, count: int, *, watch: Watch = lam
         cloth = outfit.drape(positions, gravity)
         if frame in chosen:
             columns.append(dressed_meshes(outfit, outfit.posed_body(positions), cloth))
-    return draw_figures(columns, watch=watch)
+    return draw_figures(columns, size=FRAME_SIZE, watch=watch)
 
 
 def draw_figures(
     figures: Sequence[Sequence[Mesh]],
     *,
-    size: tuple[int, int] = FRAME_SIZE,
+    size: tuple[int, int],
     watch: Watch = lambda share: None,
 ) -> np.ndarray:
     """Figures beside each other, from the front and below it from the back: (H, W, 3) uint8. figures: of each its body,

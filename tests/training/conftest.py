@@ -25,7 +25,7 @@ def quiet():
     validation.BATCHES = 1
     trainer.NORMALISING_POSES = 64
     first_model.BODIES = 0
-    rounded_model.BODIES, rounded_model.EVERYDAY, rounded_model.FARTHER, rounded_model.ENCODED_BODIES = 3, 50, 50, 24
+    rounded_model.BODIES, rounded_model.EVERYDAY, rounded_model.FARTHER, rounded_model.ENCODED_BODIES = 3, 20, 20, 24
 
 
 @pytest.fixture(scope="session")

@@ -24,11 +24,18 @@ def two_layers():
     return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
 
 
-def test_an_outfit_is_one_mesh_of_parts(c, two_layers, tmp_path):
+@pytest.fixture(scope="module")
+def stored(two_layers, tmp_path_factory):
+    """The file of them."""
+    path = tmp_path_factory.mktemp("outfit") / "outfit"
+    two_layers.save_bound(path)
+    return path.read_bytes()
+
+
+def test_an_outfit_is_one_mesh_of_parts(c, two_layers, stored):
     """Python's bits, the order of layers among them, over a walk whose root moves."""
-    two_layers.save_bound(tmp_path / "outfit")
     assert len(two_layers.orders) == 1
-    status, outfit = load(c, (tmp_path / "outfit").read_bytes())
+    status, outfit = load(c, stored)
     assert status == OK, c.physkin_last_error()
     assert [c.physkin_part_name(outfit, k) for k in range(-1, 3)] == [None, b"trousers", b"tshirt", None]
     ranges = [ranges_of(c, outfit, part) for part in range(2)]
@@ -67,23 +74,21 @@ def ranges_of(c, outfit, part):
         (lambda t: t["1.bone_heads"].__setitem__((0, 0), 9), "garment 1 has another rig or body"),
     ],
 )
-def test_other_outfits_are_refused(change, message, c, two_layers, tmp_path):
-    two_layers.save_bound(tmp_path / "outfit")
-    metadata, tensors = read_tensors((tmp_path / "outfit").read_bytes())
+def test_other_outfits_are_refused(change, message, c, stored):
+    metadata, tensors = read_tensors(stored)
     change(tensors)
     status, outfit = load(c, sealed(metadata, tensors))
     assert (status, outfit.value) == (BAD_FILE, None)
     assert re.search(message, c.physkin_last_error().decode()), c.physkin_last_error()
 
 
-def test_matrices_on_steps_are_stored_in_bytes(two_layers, tmp_path):
+def test_matrices_on_steps_are_stored_in_bytes(two_layers, stored):
     """Those of shipped models, to the bit: their file takes half."""
-    two_layers.save_bound(tmp_path / "outfit")
-    _, tensors = read_tensors((tmp_path / "outfit").read_bytes())
+    _, tensors = read_tensors(stored)
     in_bytes = [name for name, tensor in tensors.items() if tensor.dtype == np.int8]
     assert {"detail_offsets", "pose_layers.3.weight", "1.deformer_layers.4.weight"} <= set(in_bytes)
     for name in in_bytes:
         assert tensors[f"{name}.step"].shape == (len(tensors[name]), 1)
     offsets = tensors["1.detail_offsets"] * tensors["1.detail_offsets.step"]
     assert np.array_equal(offsets, two_layers.layers[1].bound_visible.detail_offsets)
-    assert (tmp_path / "outfit").stat().st_size < 1.1e7
+    assert len(stored) < 1.1e7

@@ -282,10 +282,10 @@ def test_a_loose_garment_is_not_upside_down(shirt, template):
 
 def test_a_cape_may_be_far_from_the_body_where_it_hangs_from_the_shoulders(template):
     """The same cloth 35 cm higher lies nowhere."""
-    cloth = cape()
+    cloth = cape(rings=62, segments=124)
     checked = check_garment(mesh_of(cloth.vertices, cloth.faces), template, template)
     assert not checked.refused and "mean distance to the body 12" in found(checked, "position")
-    assert outcomes(checked).keys() <= {"edge length", "overlap"}
+    assert outcomes(checked).keys() <= {"overlap"}
     checked = check_garment(mesh_of(cloth.vertices + [0, 0, 0.35], cloth.faces), template, template)
     assert checked.refused and checked.verdicts[-1].check == "position"
 
