@@ -2,8 +2,8 @@
 
 PYTHON ?= python3
 DEMO_SECONDS ?= 10
-# Test files run at once by `make test`.
-PROCESSES ?= 2
+# Test files run at once by `make test`: one more than cores, as tests of ROS nodes wait most of their time.
+PROCESSES ?= 3
 
 VENV := .venv
 # Not compiled on installation: Python compiles what is imported, which is a fraction, and keeps it.

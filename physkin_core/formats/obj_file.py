@@ -73,6 +73,7 @@ def read_obj(path: Path) -> ObjFile:
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     line_elements: list[tuple[int, int]] = []
     now, names, polygons = FaceNames(), {}, 0
+    known: dict[str, tuple[int, int]] = {}
     for line in lines:
         kind, *entries = _words(line)
         if kind == "v":
@@ -90,7 +91,14 @@ def read_obj(path: Path) -> ObjFile:
         elif kind == "f":
             polygons += len(entries) > 3
             check_mesh_size(vertices=len(vertices), faces=len(faces) + len(entries) - 2, parts=len(names))
-            corners = [_corner(line, entry, len(vertices), len(places)) for entry in entries]
+            corners = []
+            for entry in entries:
+                corner = known.get(entry)
+                if corner is None:
+                    corner = _corner(line, entry, len(vertices), len(places))
+                    if "-" not in entry:  # which counts back from where it stands
+                        known[entry] = corner
+                corners.append(corner)
             for pair in zip(corners[1:], corners[2:]):
                 vertex, place = zip(corners[0], *pair)
                 faces.append(vertex)

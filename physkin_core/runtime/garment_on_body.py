@@ -10,7 +10,7 @@ Dimensions: `n` garment vertices, `m` garment nodes, `b` bones. Metres, root fra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from numbers import Real
 
@@ -90,7 +90,7 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
         return GarmentOnBody(garment, model.node_rest, carried, seen, carried, 0 * garment.vertices)
     laid = lay_body(avatar, body)
     seen = replace(avatar_from_body(body, laid.coefficients), source=avatar.source)
-    grading = _grading(garment)
+    grading = _grading(_Shape.of(garment))
     known = laid.surface - laid.missing - laid.place
     if beneath:
         swollen = swelling(laid.surface, body.faces, beneath)
@@ -113,11 +113,23 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
     )
 
 
+@dataclass(frozen=True)
+class _Shape:
+    """A garment that equals others of its shape, such as the same file's read again."""
+
+    garment: Garment = field(compare=False)
+    arrays: tuple[bytes, ...]
+
+    @classmethod
+    def of(cls, garment: Garment) -> _Shape:
+        return cls(garment, tuple(a.tobytes() for a in (garment.vertices, garment.faces, garment.vertex_areas)))
+
+
 @lru_cache(maxsize=GRADINGS)
-def _grading(garment: Garment) -> GarmentGrading:
+def _grading(shape: _Shape) -> GarmentGrading:
     """Of a garment, whatever avatar wears it. Setting it up factorises a matrix under the interpreter's lock, so that a
     node that changes bodies need not do it while clouds wait."""
-    return GarmentGrading(garment, load_body_model())
+    return GarmentGrading(shape.garment, load_body_model())
 
 
 def _swollen(body: Avatar, displacement: np.ndarray) -> Avatar:

@@ -62,11 +62,13 @@ def test_odd_pivots_leave_cloth_outside_in_everyday_poses(person, own_mesh):
 
 
 def test_grading_is_set_up_once_for_all_bodies(person, monkeypatch):
-    """A node that changes bodies does not factorise its garment's matrix again, which would hold up clouds."""
-    model, made = load_garment_model("skirt"), []
+    """A node that changes bodies does not factorise its garment's matrix again, which would hold up clouds; nor when it
+    reads the garment's file again."""
+    made = []
     monkeypatch.setattr(garment_on_body, "GarmentGrading", lambda *given: made.append(given) or GarmentGrading(*given))
+    garment_on_body._grading.cache_clear()
     for avatar in (person, with_odd_pivots(person, 2)):
-        Draper(model, avatar)
+        Draper(load_garment_model("skirt"), avatar)
     assert len(made) == 1
 
 
