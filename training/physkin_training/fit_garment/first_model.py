@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
@@ -20,6 +21,7 @@ from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.networks.carried_model import carried_model
+from physkin_training.networks.fitted_weights import fitted_weights
 from physkin_training.networks.likeness import NEAR, Likeness
 
 __all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
@@ -48,12 +50,15 @@ def chosen_start(garment: Garment, name: str | None) -> tuple[Likeness | None, V
     return None, Verdict(CHECK, "warning", found, NEAR)
 
 
-def first_model(mesh: Path, likeness: Likeness | None, *, name: str) -> GarmentModel:
-    """The model of a mesh file before training: the nearest garment's, carried over, its mesh laid in that one's folds;
-    or where there is none, None, one of garment nodes that follow their bones."""
+def first_model(
+    mesh: Path, likeness: Likeness | None, body_model: BodyModel, device: torch.device, *, name: str
+) -> GarmentModel:
+    """The model of a mesh file before training: the nearest garment's, carried over, its mesh laid in that one's folds,
+    and its skinning weights fitted to the mesh; or where there is none, None, one of garment nodes that follow their
+    bones."""
     if likeness is None:
         return replace(plain_model(mesh), name=name)
-    return carried_model(likeness.model, load_garment(mesh), name=name)
+    return fitted_weights(carried_model(likeness.model, load_garment(mesh), name=name), body_model, device)
 
 
 def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:

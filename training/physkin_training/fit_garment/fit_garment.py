@@ -171,7 +171,7 @@ def _fit(options: argparse.Namespace) -> int:
         _draw(picture, checked, avatar, template, own)
     if options.check_only:
         return 0
-    model = first_model(mesh, likeness, name=output.stem)
+    model = first_model(mesh, likeness, body_model, device, name=output.stem)
     if likeness is not None:
         folds = folds_verdict(garment, model)
         print(f"{mesh}: {folds.found}")

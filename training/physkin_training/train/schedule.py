@@ -9,7 +9,7 @@ from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_training.config import TrainingConfig
 from physkin_training.sampling.pose_sampling import pose_range
 
-__all__ = ["EARLY_REACH", "Schedule"]
+__all__ = ["EARLY_REACH", "LATE_REACH", "Schedule"]
 
 EARLY_REACH = 0.1
 """How far [m] bodies are looked for while the pose range grows: heavy ones start that deep in the garment."""
