@@ -67,15 +67,23 @@ def signed_distance(points: np.ndarray, body_vertices: np.ndarray, body_faces: n
     faces = np.asarray(body_faces, dtype=np.int64)
     distance, face, barycentric = closest_points(points, vertices, faces)
     closest = np.einsum("nk,nki->ni", barycentric, vertices[faces[face]])
-    at_face, at_edge, at_corner = _pseudo_normals(vertices, faces)
-    touched = (barycentric > ON_EDGE).sum(axis=1)[:, None]  # corners with a share: 1 at a corner, 2 on an edge
-    normal = np.where(touched == 2, at_edge[face, barycentric.argmin(axis=1)], at_face[face])
-    normal = np.where(touched == 1, at_corner[faces[face, barycentric.argmax(axis=1)]], normal)
+    first, second, third = (vertices[corner] for corner in faces[face].T)
+    normal = np.cross(second - first, third - first)
+    touched = (barycentric > ON_EDGE).sum(axis=1)  # corners with a share: 1 at a corner, 2 on an edge
+    beside = np.flatnonzero((touched == 1) | (touched == 2))
+    if len(beside):
+        seen = np.zeros(len(vertices), dtype=bool)
+        seen[faces[face[beside]]] = True
+        around = np.flatnonzero(seen[faces].any(axis=1))
+        at_edge, at_corner = _pseudo_normals(vertices, faces[around])
+        share, touched, face = barycentric[beside], touched[beside, None], face[beside]
+        on_edge = at_edge[np.searchsorted(around, face), share.argmin(axis=1)]
+        normal[beside] = np.where(touched == 2, on_edge, at_corner[faces[face, share.argmax(axis=1)]])
     return np.where(((points - closest) * normal).sum(axis=1) < 0, -distance, distance)
 
 
-def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of faces (f, 3), unit; of the edge opposite each face's corner (f, 3, 3); of vertices (n, 3), angle-weighted."""
+def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the edge opposite each face's corner (f, 3, 3); of vertices (n, 3), angle-weighted."""
     sides = np.roll(vertices[faces], -1, axis=1) - vertices[faces]  # from corner k to corner k + 1
     normals = np.cross(sides[:, 0], sides[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
@@ -87,7 +95,7 @@ def _pseudo_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
     edges, owner = np.unique(ends @ [len(vertices), 1], return_inverse=True)  # one number an edge sorts faster
     at_edge = np.zeros((len(edges), 3))
     np.add.at(at_edge, owner.reshape(faces.shape), normals[:, None])
-    return normals, at_edge[owner.reshape(faces.shape)], at_corner
+    return at_edge[owner.reshape(faces.shape)], at_corner
 
 
 def contact_figures(distances: np.ndarray) -> dict[str, float]:
