@@ -13,6 +13,7 @@ import json
 import math
 import zlib
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -34,14 +35,13 @@ RAW, MOST_MEMORY = -zlib.MAX_WBITS, 9
 
 def deflate_tensors(tensors: Mapping[str, np.ndarray]) -> tuple[dict[str, str], dict[str, np.ndarray]]:
     """What metadata to add, and all tensors as they are stored."""
-    stored: dict[str, np.ndarray] = {}
+    stored = dict(tensors)
     entries: dict[str, list] = {}
-    for name, tensor in tensors.items():
-        stored[name] = tensor
-        if tensor.nbytes < LEAST_DEFLATED or tensor.dtype.str not in TYPES:
-            continue
-        for kind, stream in _ways(tensor):
-            if len(stream) < stored[name].nbytes:
+    large = {name: x for name, x in tensors.items() if x.nbytes >= LEAST_DEFLATED and x.dtype.str in TYPES}
+    with ThreadPoolExecutor() as threads:  # zlib takes a core for each
+        shortest = threads.map(lambda tensor: min(_ways(tensor), key=lambda way: len(way[1])), large.values())
+        for (name, tensor), (kind, stream) in zip(large.items(), shortest):
+            if len(stream) < tensor.nbytes:
                 stored[name] = np.frombuffer(stream, np.uint8)
                 entries[name] = [tensor.dtype.str, list(tensor.shape), kind]
     return {DEFLATED: json.dumps(entries)} if entries else {}, stored

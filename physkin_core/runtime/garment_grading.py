@@ -91,7 +91,7 @@ class GarmentGrading:
         if len(parts) == 1:
             moved = [self._measured(coefficients)]
         else:
-            with ThreadPoolExecutor(min(len(parts), len(os.sched_getaffinity(0)))) as threads:
+            with ThreadPoolExecutor(min(len(parts), os.cpu_count() or 1)) as threads:
                 moved = list(threads.map(self._measured, parts))
         return self.garment.vertices + np.concatenate(moved)
 

@@ -10,6 +10,7 @@ import argparse
 import json
 import logging
 import math
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -283,7 +284,7 @@ def _configuration(
     carried = "carried_from" in start.training
     if carried and has_sizes_of(recipe, start):
         beside = mesh.with_name(START)
-        save_garment_model(start, beside)
+        shutil.copyfile(options.output, beside)  # as `_show_first` wrote it
         recipe = started_from(recipe, beside)
     elif carried:
         log.warning("training begins with nothing: %s has other sizes than %s", options.recipe, start.name)

@@ -24,8 +24,8 @@ from physkin_core.model.mlp import Layer, silu, split_modulation
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.loading import bundled_motions, load_motion
-from physkin_core.rig.rig import Rig, forward_kinematics, pose_vector
-from physkin_core.runtime.binding import bind_garment
+from physkin_core.rig.rig import Rig, pose_vector
+from physkin_core.runtime.garment_on_body import put_on_body
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding, mean_square
 from physkin_training.rounding.rounded_sway import rounded_sway
@@ -155,18 +155,16 @@ def _frames(
     random: np.random.Generator,
 ) -> _Frames:
     """Frames of training bodies, every second one made to measure."""
-    drapes = [drape_from_model(each).to(device) for each in (model, rounded)]
+    rig, drapes = model.rig, [drape_from_model(each).to(device) for each in (model, rounded)]
     parts = []
     for index, body in enumerate(random.choice(len(body_model.train_bodies), BODIES, replace=False)):
         fit = float(index % 2)
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
-        bound = bind_garment(model, avatar, fit=fit)
-        positions, gravity = _poses(model.rig, random)
-        skeleton = (bound.bone_parents, bound.bone_heads, bound.dof_bone, bound.dof_axis)
-        bones = forward_kinematics(*skeleton, positions - bound.dof_rest)
-        nodes = bones[:, bound.node_bone]
-        nodes[..., 3] += np.einsum("fmij,mj->fmi", nodes[..., :3], bound.node_positions)
-        poses = pose_vector(positions, model.rig.lower, model.rig.upper, gravity)
+        worn = put_on_body(model, avatar, fit)
+        positions, gravity = _poses(rig, random)
+        nodes = rig.bone_transforms(positions, heads=avatar.bone_heads)[:, model.node_bone]
+        nodes[..., 3] += np.einsum("fmij,mj->fmi", nodes[..., :3], worn.node_positions)
+        poses = pose_vector(positions, rig.lower, rig.upper, gravity)
         encoded = [encode_bodies(drape, avatar.vertices[None], avatar.faces, fit=fit).cpu().numpy() for drape in drapes]
         modulations = (np.repeat(modulation, len(poses), axis=0) for modulation in encoded)
         parts.append((poses, nodes.reshape(len(nodes), -1), *modulations))
@@ -193,8 +191,8 @@ def _encoder_squares(
     softest, stiffest = (bending_code(2.0**octave) for octave in BENDING_OCTAVES)
     bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
     for some in np.array_split(bodies, -(-len(bodies) // AT_ONCE)):
-        avatars = [avatar_from_body(body_model, body_model.train_bodies[body]) for body in some]
-        surfaces = [sample_surface(avatar.vertices, avatar.faces, ENCODED_POINTS) for avatar in avatars]
+        shapes = [body_model.vertices(body_model.train_bodies[body]) for body in some]
+        surfaces = [sample_surface(shape, body_model.faces, ENCODED_POINTS) for shape in shapes]
         fits = random.integers(0, 2, size=len(some))
         bending = random.uniform(softest, stiffest, size=len(some)) * random.integers(0, 2, size=len(some))
         given = (*(np.stack(part) for part in zip(*surfaces, strict=True)), fits, bending)
