@@ -59,7 +59,7 @@ def drawing() -> str:
     head = '<marker id="head" orient="auto" markerWidth="6" markerHeight="6" refX="3" refY="3">'
     lines = (
         f'{start} viewBox="0 0 {WIDTH} {bottom}">',
-        "<title>Rooms of PhySkin: a room uses only rooms further down</title>",
+        "<title>Folders of PhySkin: each uses only folders further down</title>",
         f'<defs>{head}<path d="M0 0L6 3L0 6z" fill="#333"/></marker></defs>',
         '<rect width="100%" height="100%" fill="#fff"/>',
         *parts,

@@ -97,7 +97,7 @@ def _topics() -> Iterator[str]:
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
         "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
         "they are below `~/NAME`. Clouds have the stamp of their joint state, and are in the frame of the body's root. "
-        "Only types of `physkin_msgs` need that package."
+        "Only topics and services with a type of `physkin_msgs` need that package."
     )
     yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"

@@ -79,7 +79,7 @@ class GarmentSettings:
         changes=True,
         may_be_empty=False,
     )
-    tucked: bool = _key(False, "tuck the hem into the next garment outwards that is not tucked itself")
+    tucked: bool = _key(False, "tuck the hem into the next garment further out that is not tucked itself")
     precision: str = _key(
         "",
         "of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
@@ -95,7 +95,7 @@ class GarmentSettings:
     normals: str = _key(
         "skinned",
         "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh (2 ns a vertex). "
-        "Garments with detail nodes, as all shipped ones, always use faces",
+        "Garments with detail nodes (all shipped ones) always use faces",
         choices=NORMALS,
     )
     namespace: str = _key(
@@ -155,13 +155,13 @@ class AvatarSettings:
     )
     orientation: str = _key(
         "gravity",
-        "what says where down is: gravity, joints (roll and pitch in the joint states) or fixed (the parameter "
+        "what says which way is down: gravity, joints (roll and pitch in the joint states) or fixed (the parameter "
         "gravity). pose, odometry, tf and imu also say how the root moves, so that cloth sways with it",
         choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
     )
     orientation_topic: str = _key(
         "",
-        "topic of gravity, pose, odometry or imu. Empty: the value of orientation",
+        "topic of gravity, pose, odometry or imu, whichever orientation is. Empty: the topic of that name",
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
@@ -179,13 +179,13 @@ class AvatarSettings:
     )
     wind: tuple[float, ...] = _key(
         [0.0, 0.0, 0.0],
-        "velocity of the air in the world, at most 13 m/s, until a message on ~/wind. If only gravity is known: in a "
-        "level frame that faces the same way as the body",
+        "velocity of the air in the world, at most 13 m/s, until a message on ~/wind. If the node knows only "
+        "gravity, the velocity is in a level frame that faces the way the body faces",
         changes=True,
     )
     imu_delay: float = _key(
         USUAL_DELAY,
-        "[s] over which an IMU's acceleration is smoothed; cloth follows that much later. 0: no smoothing",
+        "time [s] over which an IMU's acceleration is smoothed; cloth follows that much later. 0: no smoothing",
         low=0,
         high=5,
     )
@@ -201,8 +201,8 @@ class AvatarSettings:
     )
     cloud_rate: float = _key(
         0.0,
-        "[Hz] of clouds, interpolated between joint states; they come one joint state late. 0: a cloud for each joint "
-        "state",
+        "rate of clouds [Hz], from poses interpolated between joint states. Clouds then come one joint state late. 0: "
+        "a cloud for each joint state",
         low=0,
         high=1000,
     )
@@ -242,24 +242,24 @@ class NodeSettings:
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],
-        "folders from which a running node may load bodies and garments, besides shipped ones. Empty: those of the "
-        "files that it started with",
+        "folders from which a running node may load bodies and garments, besides shipped ones. Empty: the "
+        "folders of the files that the node started with",
     )
     load_timeout: float = _key(
         LOAD_TIMEOUT,
-        "[s] that loading a body or a garment may take. After that the avatar keeps what it wears",
+        "time [s] that loading a body or a garment may take. After that the avatar keeps what it wears",
         low=1,
         high=3600,
     )
     load_memory_limit: int = _key(
         LOAD_MEMORY_LIMIT,
-        "[MiB] of memory that loading may take",
+        "memory [MiB] that loading may take",
         low=64,
         high=1 << 20,
     )
     deadline: float = _key(
         0.0,
-        "[s] from a joint state to its last cloud; longer ones are counted. 0: no limit",
+        "time [s] allowed from a joint state to its last cloud; joint states that take longer are counted. 0: no limit",
         changes=True,
         low=0,
         high=60,

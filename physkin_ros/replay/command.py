@@ -132,7 +132,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--orientation",
         choices=tuple(ORIENTATIONS),
         default="gravity",
-        help="source of where down is and how the root moves (default %(default)s: a direction only)",
+        help="what says which way is down and how the root moves (default %(default)s: a direction only)",
     )
     parser.add_argument(
         "--gravity-topic", help="topic of the direction of gravity (default /gravity, if the bag has it)"
