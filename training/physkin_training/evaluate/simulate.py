@@ -16,6 +16,7 @@ from typing import get_args
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
@@ -47,6 +48,8 @@ REACH = 0.3
 STAGES = 8
 """Steps of the body from the canonical pose."""
 NOT_CONVERGED = 1
+MOST_OF_IT, NEAR = 0.9, 0.03
+"""Of the force that is left, by its square, and the distance [m] of skin that is named where it is."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,21 @@ class DrapeSimulation:
         return drape_in_stages(
             lambda share: self._start(self._partly(poses, share)), minimise, stages=stages, **options
         )
+
+    def force_left(self, result: Solution, poses: Poses) -> list[tuple[int, list[str]]]:
+        """Of each drape, how few vertices have nine tenths of the force that is left, and the bones of the skin around
+        them. The body is in these poses."""
+        gravity, body = self._tensors(poses.gravity)[0], self.body
+        _, gradients = self.losses.evaluate(result.vertices, gravity, body.mesh, body.offset)
+        bones, found = self.avatar.influence_bones[:, 0], []
+        for gradient, cloth, skin in zip(gradients.cpu(), result.vertices.cpu(), body.vertices.cpu()):
+            force = gradient.double().square().sum(dim=1).numpy()
+            order = force.argsort()[::-1]
+            few = int(np.searchsorted(np.cumsum(force[order]), MOST_OF_IT * force.sum())) + 1
+            near = cKDTree(skin.numpy()).query_ball_point(cloth.numpy()[order[:few]], NEAR)
+            around = {int(bone) for vertices in near for bone in bones[vertices]}
+            found.append((few, [self.rig.bone_names[bone] for bone in sorted(around)]))
+        return found
 
     def _partly(self, poses: Poses, share: float) -> Poses:
         if share == 1:
@@ -251,9 +269,13 @@ def _simulate(options: argparse.Namespace) -> int:
         return 0
     print(
         f"warning: {int((~result.converged).sum())} of {len(vertices)} drapes did not converge to a residual of "
-        f"{options.tolerance} of the weight; where body parts run through each other there may be no such drape",
+        f"{options.tolerance} of the weight; where cloth is caught between body parts there may be no such drape",
         file=sys.stderr,
     )
+    for drape, (few, bones) in enumerate(simulation.force_left(result, poses)):
+        if not result.converged[drape]:
+            near = f"near {', '.join(bones)}" if bones else "away from the body"
+            print(f"drape {drape}: nine tenths of the force that is left is at {few} vertices, {near}", file=sys.stderr)
     return NOT_CONVERGED
 
 
