@@ -21,8 +21,7 @@ REFERENCE = ROOT / "docs" / "ros-reference.md"
 INTERFACES = ROOT / "msg_defs"
 HEAD = """# ROS reference
 
-Every parameter, topic, message and service of [the ROS node](node.md). `physkin node --help` prints parameters and
-topics, too.
+Every parameter, topic, message and service of [the ROS node](node.md).
 
 ## Parameters
 
@@ -96,7 +95,7 @@ def _topics() -> Iterator[str]:
     note = (
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
         "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
-        "they are below `~/NAME`. Clouds have the stamp of their joint state, and are in the frame of the body's root. "
+        "they are below `~/NAME`. "
         "Only topics and services with a type of `physkin_msgs` need that package."
     )
     yield f"{fill(note, 120)}\n"
