@@ -33,8 +33,9 @@ __all__ = ["fitted_weights"]
 
 BODIES, BATCHES, SAMPLES = 8, 4, 16
 """Training bodies; batches of so many poses each."""
-STEPS, RATE = 48, 0.1
-"""Steps of Adam on logits, and the first one's rate, which falls to 0."""
+STEPS, VERTEX_STEPS, RATE = 72, 290_000, 0.1
+"""Steps of Adam on logits, fewer where the garment has so many vertices that they would take longer; and the first
+one's rate, which falls to 0."""
 FOR_ENGINES = 2
 """Samples of a batch that are skinned by the weights for engines."""
 ENCODER_POINTS = 512
@@ -66,11 +67,12 @@ class _Batch:
 
 
 def fitted_weights(
-    model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int = STEPS, seed: int = 0
+    model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int | None = None, seed: int = 0
 ) -> GarmentModel:
     """The model with skinning weights, both sets, and weights of detail nodes for which its cloth is strained less, on
     training bodies in poses as in training: every second one made to measure."""
     garment = model.garment
+    steps = steps or min(STEPS, VERTEX_STEPS // len(garment.vertices))
     drape, engines = (drape_from_model(each).to(device).requires_grad_(False) for each in (model, model.for_engines()))
     bodies = BodySet(body_model, body_model.train_bodies[:BODIES], device)
     fits = MadeToMeasure(garment, drape, bodies, body_model)
