@@ -21,8 +21,8 @@ from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.networks.carried_model import carried_model
-from physkin_training.networks.fitted_weights import fitted_weights
 from physkin_training.networks.likeness import NEAR, Likeness
+from physkin_training.train.fitted_weights import fitted_weights
 
 __all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
 

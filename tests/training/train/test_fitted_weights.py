@@ -11,7 +11,7 @@ from physkin_core import Draper, load_garment_model
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.quality import edge_strain
-from physkin_training.networks.fitted_weights import fitted_weights
+from physkin_training.train.fitted_weights import fitted_weights
 
 SHARE = 0.3
 """Of weights that are spoilt."""
