@@ -61,7 +61,7 @@ def test_the_file_sways_as_the_network_that_was_learnt(band, monkeypatch):
     joints, device = swaying_joints(model, np.ones(len(model.node_rest), dtype=bool)), torch.device("cpu")
     codes = BodyCodes.of(model, body_model, device)
     torch.manual_seed(0)
-    network = SwayModule(len(joints), len(codes.directions), 12 * len(model.node_rest))
+    network = SwayModule(len(joints), len(codes.directions), 12 * len(model.node_rest)).eval()
     nn.init.normal_(network.out.weight, std=0.01)
     bodies = body_model.held_out_bodies[:1]
     dressed = DressedSamples(model, body_model, bodies, torch.zeros(1, dtype=torch.int64))

@@ -7,6 +7,7 @@ import pytest
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.rig.rig import Rig
+from physkin_training.sway import motions as motions_module
 from physkin_training.sway.motions import MotionPool, mirrored_motion
 
 RIG = load_body_model().rig
@@ -31,6 +32,22 @@ def test_motions_are_what_a_body_can_do(pool):
     assert 0.15 < windy.mean() < 0.55 and np.abs(pull[~windy]).max() < 1e-5
     assert 0.1 < np.linalg.norm(pull, axis=2).max() < 2.8, "training knows no more"
     assert np.abs(np.diff(pull, axis=1)).max() < 0.3, "it does not jump"
+
+
+def test_who_sits_down_keeps_feet_where_they_stand(pool, monkeypatch):
+    for name, share in (("FROM_CLIPS", 0.0), ("THROUGH_POSES", 0.0), ("SITTING", 1.0)):
+        monkeypatch.setattr(motions_module, name, share)
+    motions = pool.drawn(range(8), 240, seed=0)
+    thighs = [RIG.joint_names.index(f"upperleg01.{side}_y") for side in "LR"]
+    seated = (motions.positions[..., thighs] < np.radians(-60)).all(axis=2)
+    assert seated.any(axis=1).all() and not seated[:, 0].any()
+    assert (np.ptp(motions.place[..., 2], axis=1) > 0.25).all()
+    ankles = [RIG.bone_index(f"foot.{side}") for side in "LR"]
+    for walker in range(8):
+        bones = RIG.bone_transforms(motions.positions[walker].astype(np.float64))[:, ankles]
+        here = np.einsum("tbij,bj->tbi", bones[..., :3], RIG.heads[ankles]) + bones[..., 3]
+        there = np.einsum("tij,tbj->tbi", motions.turn[walker], here) + motions.place[walker][:, None]
+        assert np.ptp(there, axis=0).max() < 0.15, "as knees go apart feet slide a little"
 
 
 def test_a_walker_is_one_by_seed_and_number(pool):

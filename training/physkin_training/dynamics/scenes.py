@@ -25,6 +25,7 @@ __all__ = [
     "ROOT_SCENES",
     "SWING_ACCELERATION",
     "load_scene",
+    "planted_legs",
     "scene_wind",
     "smooth_step",
 ]
@@ -187,12 +188,19 @@ def _sitting(rig: Rig, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[
     root[:, 2] = -SEAT_DROP * smooth_step((u - 0.05) / 0.95)
     leans = smooth_step(u / 0.6) * (1 - smooth_step((u - 0.55) / 0.45))
     pitch = np.radians(28) * leans
-    joints = _bent(np.radians(8) * leans)
+    joints = _bent(np.radians(8) * leans) | planted_legs(rig, root, pitch)
     for side, sign in (("L", 1), ("R", -1)):
-        joints |= _leg(rig, side, root, pitch, np.zeros((len(times), 3)), np.zeros(len(times)))
         joints[f"upperarm01.{side}_x"] = -sign * np.radians(20) * smooth_step(u)
         joints[f"upperarm01.{side}_z"] = -sign * np.radians(25) * smooth_step(u)
     return root, pitch, joints
+
+
+def planted_legs(rig: Rig, root: np.ndarray, pitch: np.ndarray) -> dict[str, np.ndarray]:
+    """Turns (T,) [rad] of hips, knees and ankles, by joint names, that leave both feet where they stand at rest, while
+    the root goes by `root` (T, 3) and leans forwards by `pitch` (T,). Raises MotionError for a rig without such legs.
+    """
+    stays, flat = np.zeros((len(pitch), 3)), np.zeros(len(pitch))
+    return _leg(rig, "L", root, pitch, stays, flat) | _leg(rig, "R", root, pitch, stays, flat)
 
 
 def _bent(lean: np.ndarray) -> dict[str, np.ndarray]:

@@ -54,7 +54,7 @@ def rounded_sway(sway: SwayNetwork, rig: Rig, *, seed: int = 0) -> SwayNetwork:
 
 def _module(sway: SwayNetwork) -> SwayModule:
     """The network in torch."""
-    network = SwayModule(len(sway.joints), len(sway.code_directions), len(sway.out[1]))
+    network = SwayModule(len(sway.joints), len(sway.code_directions), len(sway.out[1])).eval()
     state = {"log_rates": np.log(sway.rates), "turns": sway.turns}
     for entry in fields(sway):
         part = getattr(network, entry.name, None)

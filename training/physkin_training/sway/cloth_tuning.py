@@ -20,7 +20,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.soap import Soap
-from physkin_training.sway.learning import KEPT, SWING, SWINGING, learning_rate, missed_swing
+from physkin_training.sway.learning import KEPT, SWING, SWINGING, drawn_from, learning_rate, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import SLOWLY, in_one_size, potential_of_walkers
@@ -98,27 +98,30 @@ def tuned_network(
     spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
     squares = walkers.shapes.distance.diagonal()
     swing = SLOWLY / 2 * cloth.mass * spread / 1e6
+    network.train()
     watch = progress_line("fine-tuning")
-    for step in range(steps):
-        for group in optimiser.param_groups:
-            group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
-        drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
-        window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
-        hidden = window.hidden(network)
-        coefficients = last.coefficients(hidden)
-        error = window.mean(walkers.shapes.millimetres(coefficients - window.coefficients))
-        swing_error = (missed_swing(window, coefficients).square() @ squares[:SWINGING]).mean()
-        offsets = last(hidden[is_draped, -1])
-        forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
-        energy = (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
-        loss = (error + SWING * swing_error) / spread + ENERGY * min(
-            1.0, (step + 1) / (GROWS_FOR * steps)
-        ) * energy / swing
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        optimiser.turn_bases(step + 1)
-        watch((step + 1) / steps)
+    with drawn_from(generator, walkers.positions.device):
+        for step in range(steps):
+            for group in optimiser.param_groups:
+                group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
+            drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
+            window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
+            hidden = window.hidden(network)
+            coefficients = last.coefficients(hidden)
+            error = window.mean(walkers.shapes.millimetres(coefficients - window.coefficients))
+            swing_error = (missed_swing(window, coefficients).square() @ squares[:SWINGING]).mean()
+            offsets = last(hidden[is_draped, -1])
+            forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
+            energy = (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
+            loss = (error + SWING * swing_error) / spread + ENERGY * min(
+                1.0, (step + 1) / (GROWS_FOR * steps)
+            ) * energy / swing
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            optimiser.turn_bases(step + 1)
+            watch((step + 1) / steps)
+    network.eval()
     return last
 
 

@@ -8,7 +8,8 @@ did. Walkers that are held out say how well it is learnt.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 
@@ -18,7 +19,7 @@ from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Window, Windows
 
-__all__ = ["held_out_millimetres", "learnt_network", "learning_rate", "missed_swing", "split"]
+__all__ = ["drawn_from", "held_out_millimetres", "learnt_network", "learning_rate", "missed_swing", "split"]
 
 BATCH, KEPT = 256, 60
 """Windows of a step, and frames of each that have a target: 4 seconds."""
@@ -45,6 +46,14 @@ def learning_rate(step: int, steps: int, *, warm_up: int, last: float) -> float:
     return (last + (1 - last) * (1 + math.cos(math.pi * step / steps)) / 2) * min(1.0, (step + 1) / warm_up)
 
 
+@contextmanager
+def drawn_from(generator: torch.Generator, device: torch.device) -> Iterator[None]:
+    """What torch draws by itself, such as first weights and dropped units, follows from the generator, too."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+        yield
+
+
 def learnt_network(
     walkers: Walkers,
     features: Features,
@@ -58,25 +67,24 @@ def learnt_network(
     walkers `learnt`."""
     windows = Windows(walkers, features, generator)
     device = walkers.positions.device
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
+    with drawn_from(generator, device):
         network = SwayModule(joints, walkers.codes.shape[1], walkers.coefficients.shape[2]).to(device)
-    optimiser = Soap(network.parameters(), [], device)
-    watch = progress_line("learning")
-    for step in range(steps):
-        for group in optimiser.param_groups:
-            group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
-        drawn = learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
-        window = windows.drawn(drawn, stride=STRIDES[step % len(STRIDES)], kept=KEPT)
-        coefficients = network.out(window.hidden(network))
-        loss = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
-        loss = loss + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        optimiser.turn_bases(step + 1)
-        watch((step + 1) / steps)
-    return network
+        optimiser = Soap(network.parameters(), [], device)
+        watch = progress_line("learning")
+        for step in range(steps):
+            for group in optimiser.param_groups:
+                group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
+            drawn = learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
+            window = windows.drawn(drawn, stride=STRIDES[step % len(STRIDES)], kept=KEPT)
+            coefficients = network.out(window.hidden(network))
+            loss = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
+            loss = loss + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            optimiser.turn_bases(step + 1)
+            watch((step + 1) / steps)
+    return network.eval()
 
 
 def missed_swing(window: Window, coefficients: torch.Tensor) -> torch.Tensor:

@@ -35,6 +35,9 @@ GATE = -1.0
 """Bias of gates at first: they let oscillators run slower than they could, but not at their slowest."""
 LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
+DROPPED = 0.1
+"""Share of the hidden units, and of the oscillators' states, that each window does without while the network trains:
+there are few walkers, and it would learn them by heart."""
 
 
 def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
@@ -77,7 +80,7 @@ class Features:
 
 
 class SwayModule(nn.Module):
-    """joints, code: how many numbers these are; outputs: of the last layer."""
+    """joints, code: how many numbers these are; outputs: of the last layer. In training mode units are dropped."""
 
     def __init__(self, joints: int, code: int, outputs: int) -> None:
         super().__init__()
@@ -113,10 +116,14 @@ class SwayModule(nn.Module):
     ) -> torch.Tensor:
         """What the last layer reads, of every so many frames from the first on."""
         silu, body = nn.functional.silu, code[:, None]
-        driven = silu(self.first(drive) + self.first_code(body))
-        states = self._oscillate(self.drive(driven), self.gate(driven), step)
+        driven = self._dropped(silu(self.first(drive) + self.first_code(body)))
+        states = self._dropped(self._oscillate(self.drive(driven), self.gate(driven), step))
         read = torch.cat([states, pose, drive], dim=-1)[:, ::every]
-        return silu(self.last(silu(self.read(read) + self.read_code(body))))
+        return self._dropped(silu(self.last(self._dropped(silu(self.read(read) + self.read_code(body))))))
+
+    def _dropped(self, units: torch.Tensor) -> torch.Tensor:
+        """Units (B, T, u), in training mode without some, the same ones in all frames of a window."""
+        return nn.functional.dropout1d(units.mT, DROPPED, self.training).mT
 
     def _oscillate(self, drive: torch.Tensor, gate: torch.Tensor, step: float) -> torch.Tensor:
         """States (B, T, 2 K), real parts and then imaginary ones; they begin at rest."""

@@ -1,8 +1,8 @@
 """Motions of walkers that cloth is simulated on, each drawn by its own seed, at 60 Hz.
 
-Half are shipped clips at changing speed, with other bearing, along curves; a quarter smooth ways through everyday
-poses; the others a pose that is held while the root swings, stops or turns. In a third the wind blows, in gusts. Half
-of all are mirrored.
+Two fifths are shipped clips at changing speed, with other bearing, along curves; a fifth smooth ways through everyday
+poses; some sit down and get up again; the others hold a pose while the root swings, stops or turns. In a third the wind
+blows, in gusts. Half of all are mirrored.
 
 Dimensions: `B` walkers, `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
 """
@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from physkin_core.motion.loading import load_motion
 from physkin_core.rig.rig import Rig
-from physkin_training.dynamics.scenes import LOOPED, RATE_HZ, smooth_step
+from physkin_core.runtime.around_legs import of_legs
+from physkin_training.dynamics.scenes import LOOPED, RATE_HZ, planted_legs, smooth_step
 from physkin_training.energies.motion import Dynamics
 from physkin_training.sampling.everyday_poses import EverydayPoses
 from physkin_training.sampling.mirrored_poses import mirrored
@@ -29,8 +30,10 @@ __all__ = ["MotionPool", "WalkerMotions", "mirrored_motion"]
 CLIPS = {"walk": 3.0, "run": 2.0, "dance": 2.0, "jump": 1.5, "kick": 1.5, "crawl": 0.7, "cartwheel": 0.7}
 """Shipped clips, and how often each is drawn."""
 LOOPED_SECONDS = 12.0
-FROM_CLIPS, THROUGH_POSES = 0.5, 0.28
+FROM_CLIPS, THROUGH_POSES, SITTING = 0.4, 0.22, 0.08
 """Shares of the motions; the others hold a pose."""
+LOWEST_SEAT, HIGHEST_SEAT = 0.42, 0.28
+"""[m] by how much hips are lower on a seat."""
 POSES = 8192
 MIRROR = np.diag([1.0, -1.0, 1.0])
 BRAKES = 0.6
@@ -58,6 +61,7 @@ class MotionPool:
         generator = torch.Generator().manual_seed(0)
         poses, _ = EverydayPoses(rig, torch.device("cpu")).sample(POSES, generator=generator)
         self._poses = poses.numpy().astype(np.float64)
+        self._of_legs = of_legs(rig)[rig.dof_bones]
         self._clips = []
         for name in CLIPS:
             motion = load_motion(name)
@@ -80,6 +84,8 @@ class MotionPool:
             positions, place, turn = self._from_clip(rng, own_time)
         elif kind < FROM_CLIPS + THROUGH_POSES:
             positions, place, turn = self._through_poses(rng, own_time)
+        elif kind < FROM_CLIPS + THROUGH_POSES + SITTING:
+            positions, place, turn = self._sits_down(rng, own_time)
         else:
             positions, place, turn = self._held_pose(rng, own_time)
         positions = positions.clip(self.rig.lower, self.rig.upper)
@@ -121,6 +127,29 @@ class MotionPool:
             way = self._way(rng, gaps, share=rng.uniform(0.2, 1) if kind < 0.625 else 1.0)
         place, yaw = _wander(rng, own_time, rng.uniform(0.2, 1.2))
         return way(own_time), place, _about_vertical(yaw)
+
+    def _sits_down(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Down on a seat and up again, feet where they stand, with what the upper body does in an everyday pose."""
+        seated, leans, begin = np.zeros(len(own_time)), np.zeros(len(own_time)), rng.uniform(0.1, 0.6)
+        while begin < own_time[-1]:
+            down, stays, up = rng.uniform(0.7, 1.8), rng.uniform(0.5, 2.5), rng.uniform(0.7, 1.5)
+            falls, rises = (own_time - begin) / down, (own_time - begin - down - stays) / up
+            seated += smooth_step(falls) * (1 - smooth_step(rises))
+            leans += _hump(falls) + _hump(rises)
+            begin += down + stays + up + rng.uniform(0.3, 1.5)
+        root = np.outer(seated, [-rng.uniform(0.3, 0.42), 0, -rng.uniform(HIGHEST_SEAT, LOWEST_SEAT)])
+        pitch = math.radians(rng.uniform(10, 35)) * leans + math.radians(rng.uniform(-12, 5)) * seated
+        share = smooth_step(own_time / 0.6) * rng.uniform(0, 1)
+        other = self._poses[rng.integers(len(self._poses))]
+        positions = self.rig.rest + np.outer(share, np.where(self._of_legs, 0, other - self.rig.rest))
+        apart = math.radians(rng.uniform(-3, 18)) * seated
+        for joint, angles in planted_legs(self.rig, root, pitch).items():
+            positions[:, self.rig.joint_names.index(joint)] += angles
+        for joint, sign in (("upperleg01.L_x", 1), ("upperleg01.R_x", -1)):
+            positions[:, self.rig.joint_names.index(joint)] += sign * apart
+        heading = Rotation.from_euler("z", rng.uniform(0, 2 * math.pi))
+        turn = (heading * Rotation.from_euler("y", pitch[:, None])).as_matrix()
+        return positions, heading.apply(root), turn
 
     def _held_pose(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pose = self.rig.rest if rng.random() < 0.5 else self._poses[rng.integers(len(self._poses))]
@@ -225,6 +254,11 @@ def _wind(rng: np.random.Generator, frames: int) -> np.ndarray:
         begin += rise + lasts + fall + rng.uniform(-0.3, 1.5)
     ahead = [math.cos(heading), math.sin(heading), 0.2 * rng.normal()]
     return np.outer(_log_uniform(rng, LIGHTEST, STRONGEST) * speed, ahead)
+
+
+def _hump(u: np.ndarray) -> np.ndarray:
+    """0 before 0 and after 1, 1 about in the middle, smooth."""
+    return smooth_step(u / 0.6) * (1 - smooth_step((u - 0.45) / 0.55))
 
 
 def _about_vertical(yaw: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ __all__ = ["SLOWLY", "WalkerSimulation", "in_one_size", "potential_of_walkers"]
 ONE_SIZE = 3
 """Every third body wears the template, the others what is made to measure."""
 SOFTER_CONTACT = 0.1
-COMPRESSED = 0.05
+COMPRESSED = 0.02
 """Share of the stiffness of cloth that is left under compression."""
 NEWTON, PRODUCTS = 8, 14
 FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
