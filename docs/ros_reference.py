@@ -95,8 +95,7 @@ def _topics() -> Iterator[str]:
     note = (
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
         "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
-        "they are below `~/NAME`. "
-        "Only topics and services with a type of `physkin_msgs` need that package."
+        "they are below `~/NAME`."
     )
     yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"

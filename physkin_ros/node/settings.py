@@ -75,7 +75,7 @@ class GarmentSettings:
     model: str = _key(
         "tshirt",
         "garment to wear: a shipped name or a .safetensors file, also with fabric and colour (skirt:denim:navy). A "
-        "single avatar can wear several, joined by commas, from the skin outwards",
+        "single avatar can wear up to four, joined by commas, from the skin outwards",
         changes=True,
         may_be_empty=False,
     )
