@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from physkin_core import Draper, load_garment_model
@@ -40,3 +41,11 @@ def test_spoilt_weights_are_fitted_again(template):
     for weights in (fitted.influence_weights, fitted.engine_weights, fitted.detail.weights):
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
     assert fitted.pose_modulator is model.pose_modulator and fitted.garment is model.garment
+
+
+def test_another_rig_is_refused():
+    """A garment of another rig is an error before any step."""
+    model = load_garment_model("tanktop")
+    heads = model.rig.heads + [0, 0, 0.01]
+    with pytest.raises(ValueError, match="'tanktop' has another rig"):
+        fitted_weights(replace(model, rig=replace(model.rig, heads=heads)), load_body_model(), torch.device("cpu"))

@@ -70,7 +70,12 @@ def fitted_weights(
     model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int | None = None, seed: int = 0
 ) -> GarmentModel:
     """The model with skinning weights, both sets, and weights of detail nodes for which its cloth is strained less, on
-    training bodies in poses as in training: every second one made to measure."""
+    training bodies in poses as in training: every second one made to measure.
+
+    Raises ValueError for another rig than the body model's.
+    """
+    if model.rig.to_json() != body_model.rig.to_json():
+        raise ValueError(f"weights are fitted on the body model's bodies; garment model {model.name!r} has another rig")
     garment = model.garment
     steps = steps or min(STEPS, VERTEX_STEPS // len(garment.vertices))
     drape, engines = (drape_from_model(each).to(device).requires_grad_(False) for each in (model, model.for_engines()))
