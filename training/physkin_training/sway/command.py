@@ -42,7 +42,7 @@ class SwayPlan:
 
     bodies: int = 64
     walkers: int = 10
-    rounds: int = 5
+    rounds: int = 2
     seconds: float = 5.0
     held_above: float = math.inf
     steps: int = 14000
