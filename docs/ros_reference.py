@@ -95,7 +95,8 @@ def _topics() -> Iterator[str]:
     note = (
         "These are the names with a single avatar. With several, `joint_states` is `ID/joint_states`, `~/joint_states` "
         "is `~/ID/joint_states`, and the topics of a garment are below `~/ID/NAME`. In the outfit of a single avatar "
-        "they are below `~/NAME`."
+        "they are below `~/NAME`. Those of `physkin_msgs` need [this package](node.md#starting-it); the node's page "
+        "describes the [quality of service](node.md#keeping-it-running)."
     )
     yield f"{fill(note, 120)}\n"
     yield "| | name | type | | only with |\n|---|---|---|---|---|"

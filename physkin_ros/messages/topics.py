@@ -120,9 +120,9 @@ DIAGNOSTICS = Topic(
     "/diagnostics",
     "out",
     "diagnostic_msgs/DiagnosticArray",
-    "once a second: rates, times, what was refused and why, how each garment sits",
+    "once a second: rates, times, what was refused and why, how much of each garment is inside the body at rest",
 )
-STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "the same as numbers")
+STATISTICS = Topic("~/statistics", "out", "physkin_msgs/DrapeStatistics", "rates, times and counts as numbers")
 SET_BODY = Topic("~/set_body", "service", "physkin_msgs/SetBody", "puts another body under the garments")
 SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "puts another garment on")
 

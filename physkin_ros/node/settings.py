@@ -161,7 +161,7 @@ class AvatarSettings:
     )
     orientation_topic: str = _key(
         "",
-        "topic of gravity, pose, odometry or imu, whichever orientation is. Empty: the topic of that name",
+        "topic of the source that orientation names: gravity, pose, odometry or imu. Empty: the topic of that name",
     )
     orientation_joints: tuple[str, ...] = _key(
         ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
