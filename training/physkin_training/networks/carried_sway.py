@@ -13,12 +13,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.model.sway_network import SwayNetwork
-from physkin_training.networks.export import drape_from_model
+from physkin_training.networks.export import drape_from_model, encode_bodies
 
 __all__ = ["carried_sway"]
 
@@ -32,25 +30,17 @@ def carried_sway(start: GarmentModel, model: GarmentModel, body_model: BodyModel
     """The sway network of `start`, which has one, for `model`, which has its garment nodes and was trained from it."""
     sway = start.sway
     chosen = body_model.train_bodies[np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]]
-    avatars = [avatar_from_body(body_model, body) for body in chosen]
-    surfaces = [sample_surface(avatar.vertices, avatar.faces, POINTS) for avatar in avatars]
-    before, after = (_modulations(each, surfaces, device) for each in (start, model))  # (2 S, M)
+    surfaces = np.stack([body_model.vertices(body) for body in chosen])
+
+    def modulations(each: GarmentModel) -> np.ndarray:
+        drape = drape_from_model(each).to(device)
+        parts = [encode_bodies(drape, surfaces, body_model.faces, fit=fit, points=POINTS) for fit in (0.0, 1.0)]
+        return torch.cat(parts).cpu().numpy().astype(np.float64)
+
+    before, after = modulations(start), modulations(model)  # (2 S, M)
     codes = (before - sway.code_mean) @ sway.code_directions.T.astype(np.float64)
     mean = after.mean(axis=0)
     left, spread, axes = np.linalg.svd(after - mean, full_matrices=False)
     shrunk = spread / (spread**2 + (RIDGE * spread[0]) ** 2)
     directions = (codes.T @ left * shrunk) @ axes  # (c, M); codes are 0 on average
     return replace(sway, code_mean=mean.astype(np.float32), code_directions=directions.astype(np.float32))
-
-
-def _modulations(
-    model: GarmentModel, surfaces: list[tuple[np.ndarray, np.ndarray]], device: torch.device
-) -> np.ndarray:
-    encoder = drape_from_model(model).to(device).networks.hyper_modulator
-    found = []
-    with torch.no_grad():
-        for fit in (0.0, 1.0):
-            for surface in surfaces:
-                pair = [torch.as_tensor(part, dtype=torch.float32, device=device)[None] for part in surface]
-                found.append(encoder(*pair, torch.full((1,), fit, device=device)))
-    return torch.cat(found).cpu().numpy().astype(np.float64)

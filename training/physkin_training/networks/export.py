@@ -142,16 +142,18 @@ def network_config(model: GarmentModel) -> NetworkConfig:
     )
 
 
-def encode_bodies(drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0) -> torch.Tensor:
-    """Body modulations (S, s) of bodies (S, V, 3), from the same surface points as the run time takes. fit: of the
-    garment."""
+def encode_bodies(
+    drape: Drape, vertices: np.ndarray, faces: np.ndarray, *, fit: float = 0.0, points: int = POINT_COUNT
+) -> torch.Tensor:
+    """Body modulations (S, s) of bodies (S, V, 3), by default from the same surface points as the run time takes. fit:
+    of the garment."""
     device = drape.node_rest.device
     fits = torch.full((1,), fit, device=device) if fit else None
     modulations = []
     with torch.no_grad():
         for body in vertices:
-            points, normals = sample_surface(body, faces, POINT_COUNT)
-            pair = [torch.as_tensor(a, dtype=torch.float32, device=device)[None] for a in (points, normals)]
+            surface = sample_surface(body, faces, points)
+            pair = [torch.as_tensor(part, dtype=torch.float32, device=device)[None] for part in surface]
             modulations.append(drape.networks.hyper_modulator(*pair, fits))
     return torch.cat(modulations)
 

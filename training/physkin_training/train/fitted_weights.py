@@ -16,9 +16,8 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.surface_sampling import sample_surface
 from physkin_training.networks.draping import Drape, RestShape
-from physkin_training.networks.export import drape_from_model
+from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData
@@ -96,7 +95,11 @@ def fitted_weights(
     )
     sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
     generator = torch.Generator().manual_seed(seed)
-    modulations = _modulations(drape, bodies)
+    surfaces = bodies.vertices.cpu().numpy()
+    encoded = [
+        encode_bodies(drape, surfaces, body_model.faces, fit=fit, points=ENCODER_POINTS) for fit in (0.0, 1.0)
+    ]  # at the template, and made to measure
+    modulations = torch.stack(encoded)
     batches = []
     for _ in range(BATCHES):
         positions, gravity = (part.to(device) for part in sampler.sample(SAMPLES, 1.0, generator=generator))
@@ -117,17 +120,6 @@ def fitted_weights(
         adam.param_groups[0]["lr"].fill_(RATE * (1 - step / steps))
         adam.step()
     return _with_weights_of(drape, engines, model)
-
-
-@torch.no_grad()
-def _modulations(drape: Drape, bodies: BodySet) -> torch.Tensor:
-    """Body modulations (2, S, s): at the template, and made to measure."""
-    faces = bodies.faces.cpu().numpy()
-    surfaces = [sample_surface(body, faces, ENCODER_POINTS) for body in bodies.vertices.cpu().numpy()]
-    device = bodies.vertices.device
-    points, normals = (torch.as_tensor(np.stack(part), dtype=torch.float32, device=device) for part in zip(*surfaces))
-    fits = (torch.full((len(bodies),), fit, device=device) for fit in (0.0, 1.0))
-    return torch.stack([drape.networks.hyper_modulator(points, normals, each) for each in fits])
 
 
 @torch.no_grad()
