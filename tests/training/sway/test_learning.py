@@ -78,9 +78,9 @@ def test_tuning_lets_cloth_strain_less(band, monkeypatch):
     walker, frame = torch.tensor([1, 2, 5, 6]), torch.full((4,), 28)
 
     def energy(last: OffsetLayer) -> float:
-        windows = cloth_tuning.Windows(walkers, features, torch.Generator().manual_seed(0))
+        windows = cloth_tuning.Windows(walkers, features, torch.Generator().manual_seed(0), kept=8)
         with torch.no_grad():
-            offsets = last(windows.drawn(walker, stride=4, kept=8).hidden(network)[:, -1])
+            offsets = last(windows.at(windows.drawn(walker), stride=4).hidden(network)[:, -1])
         cloth.forces(offsets, walker, frame)
         strained = ("stretch", "bend", "collision", "band")
         return sum(float(each.values.sum()) for each in cloth._potential.energies if each.name in strained)

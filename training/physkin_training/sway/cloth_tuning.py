@@ -25,7 +25,8 @@ from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import SLOWLY, in_one_size, potential_of_walkers
 from physkin_training.sway.walkers import KEPT_EVERY, Walkers
-from physkin_training.sway.windows import STRIDES, Windows
+from physkin_training.sway.window_descent import WindowDescent
+from physkin_training.sway.windows import Window, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
@@ -92,34 +93,34 @@ def tuned_network(
     last = OffsetLayer(network.out, walkers)
     own = [parameter for name, parameter in network.named_parameters() if not name.startswith("out")]
     optimiser = Soap([*own, *last.parameters()], [], walkers.positions.device)
-    windows, cloth = Windows(walkers, features, generator), _Cloth(model, body_model, walkers)
+    windows, cloth = Windows(walkers, features, generator, kept=KEPT), _Cloth(model, body_model, walkers)
     of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
-    is_draped = torch.arange(WINDOWS * len(of_body), device=walkers.positions.device) % WINDOWS < DRAPED
+    device, count = walkers.positions.device, WINDOWS * len(of_body)
+    draped = torch.tensor([k for k in range(count) if k % WINDOWS < DRAPED], device=device)
     spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
     squares = walkers.shapes.distance.diagonal()
     swing = SLOWLY / 2 * cloth.mass * spread / 1e6
+    energy_share = torch.zeros((), device=device)
+
+    def loss(window: Window) -> torch.Tensor:
+        hidden = window.hidden(network)
+        coefficients = last.coefficients(hidden)
+        error = window.mean(walkers.shapes.millimetres(coefficients - window.coefficients))
+        swing_error = (missed_swing(window, coefficients).square() @ squares[:SWINGING]).mean()
+        offsets = last(hidden[draped, -1])
+        forces = cloth.forces(offsets.detach(), window.walker[draped], window.last[draped])
+        energy = (window.share[draped, -1:] * offsets * forces).sum() / len(forces)
+        return (error + SWING * swing_error) / spread + energy_share * energy / swing
+
     network.train()
+    descent = WindowDescent(windows, optimiser, loss, windows_a_step=count)
     watch = progress_line("fine-tuning")
-    with drawn_from(generator, walkers.positions.device):
+    with drawn_from(generator, device):
         for step in range(steps):
-            for group in optimiser.param_groups:
-                group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
+            energy_share.fill_(ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)))
             drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
-            window = windows.drawn(torch.cat(drawn), stride=STRIDES[step % len(STRIDES)], kept=KEPT)
-            hidden = window.hidden(network)
-            coefficients = last.coefficients(hidden)
-            error = window.mean(walkers.shapes.millimetres(coefficients - window.coefficients))
-            swing_error = (missed_swing(window, coefficients).square() @ squares[:SWINGING]).mean()
-            offsets = last(hidden[is_draped, -1])
-            forces = cloth.forces(offsets.detach(), window.walker[is_draped], window.last[is_draped])
-            energy = (window.share[is_draped, -1:] * offsets * forces).sum() / len(forces)
-            loss = (error + SWING * swing_error) / spread + ENERGY * min(
-                1.0, (step + 1) / (GROWS_FOR * steps)
-            ) * energy / swing
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            optimiser.turn_bases(step + 1)
+            rate = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
+            descent.step(torch.cat(drawn), rate)
             watch((step + 1) / steps)
     network.eval()
     return last

@@ -17,6 +17,7 @@ from physkin_core.progress import progress_line
 from physkin_training.soap import Soap
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.walkers import Walkers
+from physkin_training.sway.window_descent import WindowDescent
 from physkin_training.sway.windows import STRIDES, Window, Windows
 
 __all__ = ["drawn_from", "held_out_millimetres", "learnt_network", "learning_rate", "missed_swing", "split"]
@@ -65,24 +66,22 @@ def learnt_network(
 ) -> SwayModule:
     """A network from `joints` joints to coefficients of the walkers' shapes, after so many steps with windows of the
     walkers `learnt`."""
-    windows = Windows(walkers, features, generator)
+    windows = Windows(walkers, features, generator, kept=KEPT)
     device = walkers.positions.device
     with drawn_from(generator, device):
         network = SwayModule(joints, walkers.codes.shape[1], walkers.coefficients.shape[2]).to(device)
         optimiser = Soap(network.parameters(), [], device)
+
+        def loss(window: Window) -> torch.Tensor:
+            coefficients = network.out(window.hidden(network))
+            missed = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
+            return missed + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
+
+        descent = WindowDescent(windows, optimiser, loss, windows_a_step=BATCH)
         watch = progress_line("learning")
         for step in range(steps):
-            for group in optimiser.param_groups:
-                group["lr"].fill_(LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE))
-            drawn = learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
-            window = windows.drawn(drawn, stride=STRIDES[step % len(STRIDES)], kept=KEPT)
-            coefficients = network.out(window.hidden(network))
-            loss = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
-            loss = loss + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            optimiser.turn_bases(step + 1)
+            rate = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
+            descent.step(learnt[torch.randint(len(learnt), (BATCH,), generator=generator)], rate)
             watch((step + 1) / steps)
     return network.eval()
 
@@ -102,10 +101,10 @@ def held_out_millimetres(
 ) -> float:
     """How far cloth of held-out walkers is from what was simulated [mm], at all frame rates. coefficients: of shapes
     (..., r), of what the network's last layer reads."""
-    windows, errors = Windows(walkers, features, torch.Generator().manual_seed(0)), []
+    windows, errors = Windows(walkers, features, torch.Generator().manual_seed(0), kept=KEPT), []
     with torch.no_grad():
         for stride in STRIDES:
-            window = windows.drawn(held_out, stride=stride, kept=KEPT)
+            window = windows.at(windows.drawn(held_out).to(walkers.positions.device), stride=stride)
             differences = coefficients(window.hidden(network)) - window.coefficients
             errors.append(window.mean(walkers.shapes.millimetres(differences)))
     return float(torch.stack(errors).mean().sqrt())

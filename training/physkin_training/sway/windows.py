@@ -55,24 +55,27 @@ class Window:
 
 
 class Windows:
-    """Draws windows of walkers. generator: of the CPU."""
+    """Draws windows of walkers, all of so many kept frames, or all that there are. generator: of the CPU."""
 
-    def __init__(self, walkers: Walkers, features: Features, generator: torch.Generator) -> None:
+    def __init__(self, walkers: Walkers, features: Features, generator: torch.Generator, *, kept: int) -> None:
         self._walkers, self._features, self._generator = walkers, features, generator
+        self._kept = min(kept, walkers.valid.shape[1])
+        self._span = KEPT_EVERY * (self._kept - 1)
 
-    def drawn(self, walker: torch.Tensor, *, stride: int, kept: int) -> Window:
-        """A window with so many kept frames, or all that there are, of each of these walkers (B,).
+    def drawn(self, walker: torch.Tensor) -> torch.Tensor:
+        """Walkers (B,) and the frames that their windows begin with, as one (2, B) of the CPU."""
+        count = len(walker)
+        starts = (self._walkers.positions.shape[1] - 1 - self._span) // KEPT_EVERY + 1
+        start = torch.randint(starts, (count,), generator=self._generator) * KEPT_EVERY
+        return torch.stack([walker, start * (torch.rand(count, generator=self._generator) >= FROM_THE_START)])
+
+    def at(self, drawn: torch.Tensor, *, stride: int) -> Window:
+        """The windows that were drawn, (2, B) on the walkers' device. Nothing of this waits for the device.
 
         stride: frames of 60 a second from one that the network sees to the next.
         """
-        known, count = self._walkers, len(walker)
-        kept = min(kept, known.valid.shape[1])
-        device, span = known.positions.device, KEPT_EVERY * (kept - 1)
-        starts = (known.positions.shape[1] - 1 - span) // KEPT_EVERY + 1
-        start = torch.randint(starts, (count,), generator=self._generator) * KEPT_EVERY
-        start = start * (torch.rand(count, generator=self._generator) >= FROM_THE_START)
-        walker, start = walker.to(device), start.to(device)
-        frames = start[:, None] + torch.arange(0, span + 1, stride, device=device)
+        known, kept, (walker, start) = self._walkers, self._kept, drawn
+        frames = start[:, None] + torch.arange(0, self._span + 1, stride, device=drawn.device)
         row = walker[:, None]
         step = stride / RATE_HZ
         motion = (known.positions, known.place, known.turn, known.gravity)

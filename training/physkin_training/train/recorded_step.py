@@ -27,6 +27,7 @@ class RecordedStep:
         self._mode = "thread_local" if in_company else "global"
         self._graph: torch.cuda.CUDAGraph | None = None
         if self._on_gpu:
+            wp.init()
             self._side = torch.cuda.Stream(device)
             self._warp_side = wp.stream_from_torch(self._side)
 
