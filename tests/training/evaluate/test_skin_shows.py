@@ -10,7 +10,7 @@ from random_models import tube
 from physkin_core import Garment, load_body_model, load_garment_model
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_training.evaluate.skin_shows import HEM, SkinShows, covered_faces
-from physkin_training.physics.surface_queries import is_under
+from physkin_training.physics.surface_queries import covering_faces
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
 BODY = load_body_model()
@@ -48,7 +48,7 @@ def test_a_patch_that_sank_in_shows_and_a_lifted_hem_does_not():
     assert shows[1][away < 0.055].all() and not shows[1][away > 0.1].any() and (away < 0.055).sum() > 10
     assert np.array_equal(shows, in_sight), "nothing stands before the chest"
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    bare = ~is_under(centres, normals, lifted, SHIRT.faces, 0.1)
+    bare = covering_faces(centres, normals, lifted, SHIRT.faces, 0.1) < 0
     assert bare.sum() > 100, "no cloth lies over the belly there, but the hem above it may be lifted"
     areas = np.linalg.norm(np.cross(*np.moveaxis(np.diff(triangles, axis=1), 1, 0)), axis=1)
     figures = skin.figures(as_tensor(SHIRT.vertices, sunk, lifted), overlapped)

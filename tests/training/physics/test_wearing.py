@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from random_models import cape, tube
+from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
@@ -22,6 +23,11 @@ BONES = BODY.rig.bone_names
 def wearing(name: str) -> tuple[Garment, Wearing]:
     garment = load_garment(GARMENTS / f"{name}.obj")
     return garment, Wearing.of(garment, BODY)
+
+
+def far_from_all(garment: Garment) -> np.ndarray:
+    """(n,) bool, the cloth that hangs free of the whole body."""
+    return cKDTree(SURFACE).query(garment.vertices)[0] > WORN_WITHIN
 
 
 @pytest.mark.parametrize(
@@ -60,6 +66,35 @@ def test_a_cape_is_held_by_its_collar():
     assert not worn.bare.any() and (worn.far_face < 0).all()
 
 
+def test_a_cape_hangs_around_trunk_and_legs():
+    """Most of it is far from the body, and yet heels, thighs and the small of a stout back push it."""
+    garment = cape()
+    worn = Wearing.of(garment, BODY)
+    free = far_from_all(garment)
+    assert free.mean() > 0.5 and worn.worn[free].any(axis=1).all() and not worn.other_limb[free].any()
+    legs = [f"{bone}.{side}" for bone in ("upperleg02", "lowerleg01", "lowerleg02", "foot") for side in "LR"]
+    hem = np.linalg.norm(garment.vertices - [-0.54, 0.0, -0.49], axis=1).argmin()
+    assert free[hem] and worn.worn[hem, [BONES.index(part) for part in legs]].all()
+    back = np.linalg.norm(garment.vertices - [-0.42, 0.0, 0.05], axis=1).argmin()
+    small_of_the_back = [BONES.index(part) for part in ("spine04", "spine05")]
+    assert free[back] and worn.worn[back, small_of_the_back].all()
+    touched = set(np.array(BONES)[worn.worn_faces().face_bone])
+    assert touched >= {*legs, "spine03", "spine04", "spine05", "pelvis.L", "pelvis.R"}
+
+
+@pytest.mark.parametrize("name", ["skirt", "circleskirt", "dress", "maxidress", "pencilskirt", "widetrousers"])
+def test_a_hem_hangs_around_parts_that_other_cloth_lies_on(name):
+    """It adds none to the contact: no arm beside a skirt. Of two trouser legs each hangs around the limb in it."""
+    garment, worn = wearing(name)
+    free = far_from_all(garment)
+    assert worn.worn[free].any(), name
+    assert not (worn.worn[free].any(axis=0) & ~worn.worn[~free].any(axis=0)).any(), name
+    if name == "widetrousers":
+        for side, other in ("LR", "RL"):
+            hem = free & (garment.vertices[:, 1] > 0 if side == "L" else garment.vertices[:, 1] < 0)
+            assert hem.any() and not worn.worn[np.ix_(hem, [BONES.index(f"lowerleg01.{other}")])].any()
+
+
 def test_a_closed_surface_is_refused():
     faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
     corners = [[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
@@ -94,7 +129,7 @@ def test_limbs_that_pass_by_the_cloth():
     side = np.linalg.norm(garment.vertices - [0.0, 0.25, -0.15], axis=1).argmin()
     legs = [BONES.index(part) for part in ("upperleg01.L", "upperleg02.L", "upperleg01.R", "upperleg02.R")]
     assert not worn.worn[side, legs[2:]].any() and not worn.other_limb[side, legs].any()
-    hem = ~worn.worn.any(axis=1)
+    hem = far_from_all(garment)
     assert hem.any() and not worn.other_limb[hem].any()
 
 

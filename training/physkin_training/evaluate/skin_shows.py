@@ -13,7 +13,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.surface_paths import mesh_edges, path_lengths
 from physkin_training.evaluate.body_overlap import OFF_SKIN, SkinPoints, faces_a_body
-from physkin_training.physics.surface_queries import is_under
+from physkin_training.physics.surface_queries import covering_faces
 from physkin_training.quiet_warp import wp
 from physkin_training.sampling.posed_bodies import PosedBodies
 
@@ -123,7 +123,7 @@ def covered_faces(garment: Garment, body: np.ndarray, faces: np.ndarray) -> np.n
     corners = body[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    covered = is_under(corners.mean(axis=1), normals, garment.vertices, garment.faces, COVER)
+    covered = covering_faces(corners.mean(axis=1), normals, garment.vertices, garment.faces, COVER) >= 0
     from_covered = path_lengths(body, faces, np.unique(faces[covered]))
     bare = from_covered[faces].max(axis=1) > HOLE
     from_bare = path_lengths(body, faces, np.unique(faces[bare]))

@@ -13,7 +13,7 @@ import numpy as np
 from physkin_core.model.garment import vertex_normals
 from physkin_training.quiet_warp import wp
 
-__all__ = ["BodySurface", "Closest", "is_under", "layers_near", "piercing_edges"]
+__all__ = ["FARTHEST", "BodySurface", "Closest", "covering_faces", "layers_near", "piercing_edges"]
 
 FARTHEST = 10.0
 """The body is looked for up to this distance [m]."""
@@ -116,17 +116,19 @@ def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, side
 
 
 @wp.kernel
-def under_kernel(
+def covering_kernel(
     mesh_id: wp.uint64,
     points: wp.array(dtype=wp.vec3),
     ways: wp.array(dtype=wp.vec3),
     reach: wp.float32,
-    under: wp.array(dtype=wp.bool),
+    face: wp.array(dtype=wp.int32),
 ):
-    """Whether the first face that a ray meets within `reach` looks away from where it comes."""
+    """The first face that a ray meets within `reach`, where it looks away from where the ray comes; else -1."""
     i = wp.tid()
     hit = wp.mesh_query_ray(mesh_id, points[i], ways[i], reach)
-    under[i] = hit.result and wp.dot(hit.normal, ways[i]) > 0.0
+    face[i] = -1
+    if hit.result and wp.dot(hit.normal, ways[i]) > 0.0:
+        face[i] = hit.face
 
 
 @dataclass(frozen=True)
@@ -213,17 +215,18 @@ def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.nda
     return sides.numpy().copy()
 
 
-def is_under(
-    points: np.ndarray, normals: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float
+def covering_faces(
+    points: np.ndarray, ways: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float = FARTHEST
 ) -> np.ndarray:
-    """Which points (k, 3) of a body lie under a garment, (k,) bool: from inside, a ray along the body's unit normal
-    (k, 3) meets it within `reach` [m]. An arm beside a shirt meets the shirt from outside, and is not under it."""
+    """The face of a garment that points (k, 3) of a body lie under, (k,) int32, or -1: a ray along the unit vector of
+    each (k, 3) meets it first, from inside, within `reach` [m]. An arm beside a shirt meets the shirt from outside, and
+    is not under it."""
     wp.init()
     mesh = _mesh(vertices, faces)
-    under = wp.zeros(len(points), wp.bool, device="cpu")
-    rays = [wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu") for array in (points, normals)]
-    wp.launch(under_kernel, len(points), [mesh.id, *rays, reach], [under], device="cpu")
-    return under.numpy().copy()
+    covering = wp.zeros(len(points), wp.int32, device="cpu")
+    rays = [wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu") for array in (points, ways)]
+    wp.launch(covering_kernel, len(points), [mesh.id, *rays, reach], [covering], device="cpu")
+    return covering.numpy().copy()
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray, **support: bool) -> wp.Mesh:

@@ -16,6 +16,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
+from physkin_training.physics.surface_queries import FARTHEST, BodySurface, covering_faces
 
 __all__ = ["Wearing", "holding_rim"]
 
@@ -24,6 +25,9 @@ WORN_WITHIN = 0.15
 WORN_BESIDE = 0.02
 """It is worn on the closest part, on those at most this much [m] farther away, and on the parts joined to these: cloth
 slides along a limb, but the side of a shirt is not worn on the arm that hangs beside it."""
+HUNG_BESIDE = 4 / 3
+"""Cloth that is farther from all of the body hangs around it. It is worn on the closest part of each limb, and on those
+at most this many times as far away: a heel comes up behind a cape."""
 BEHIND = -0.35
 """Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
 skirt hangs around; others are beside it or in front of it."""
@@ -45,13 +49,14 @@ class Wearing:
     """A garment on a body.
 
     faces: (f, 3) int32, faces of the body that cloth may be in contact with; face_bone: (f,) int32, the bone that moves
-    each most. worn: (n, b) bool, the vertex lies on that bone's part. other_limb: (n, b) bool, it lies on no part of
-    that bone's limb, which is beside the cloth or in front of it, as an arm is to the side of a shirt, and presses it
-    towards its own place on the body alone. bare: (b,) bool, the bone of an arm that leaves through an armhole, an
-    opening on the trunk without a sleeve: only cloth from which all other parts are farther is worn on it. own_face:
-    (n,) int32, of the `faces` of worn parts the one whose centre is closest. far_face: (n,) int32, of cloth in a sleeve
-    or a trouser leg the face across the limb from that, elsewhere -1. band: (k,) int32 vertices of the neckband
-    or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,) float32 [m] away.
+    each most. worn: (n, b) bool, the vertex lies on that bone's part, or hangs around it, far from all. other_limb:
+    (n, b) bool, it lies on no part of that bone's limb, which is beside the cloth or in front of it, as an arm is to
+    the side of a shirt, and presses it towards its own place on the body alone. bare: (b,) bool, the bone of an arm
+    that leaves through an armhole, an opening on the trunk without a sleeve: only cloth from which all other parts are
+    farther is worn on it. own_face: (n,) int32, of the `faces` of worn parts the one whose centre is closest. far_face:
+    (n,) int32, of cloth in a sleeve or a trouser leg the face across the limb from that, elsewhere -1. band: (k,) int32
+    vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,)
+    float32 [m] away.
     """
 
     faces: np.ndarray
@@ -94,6 +99,8 @@ class Wearing:
         limb = np.eye(rig.bone_count, dtype=int)[np.where(bare, np.arange(rig.bone_count), limbs)]
         on_limb = (worn @ limb) @ limb.T > 0
         other_limb = ~on_limb & worn.any(axis=1, keepdims=True) & (outwards > BEHIND * distance)
+        free = np.flatnonzero(~worn.any(axis=1))
+        worn[free] = _hung_around(garment, free, distance_worn[free], avatar, vertex_bone, limbs)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
         rim = garment.vertices[holding_rim(garment.vertices, openings(garment.vertices, garment.faces))]
         distance, _ = cKDTree(rim).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
@@ -125,6 +132,35 @@ class Wearing:
             own_face=kept[self.own_face].astype(np.int32),
             far_face=np.where(self.far_face < 0, -1, kept[self.far_face]).astype(np.int32),
         )
+
+
+def _hung_around(
+    garment: Garment,
+    free: np.ndarray,
+    distance: np.ndarray,
+    avatar: Avatar,
+    vertex_bone: np.ndarray,
+    limbs: np.ndarray,
+) -> np.ndarray:
+    """(k, b) bool: the parts that the vertices `free` (k,) hang around, however far away; distance (k, b) [m]. They are
+    those of each limb that can be seen from its closest point: no other cloth and no other skin is between."""
+    face_at = np.zeros(len(garment.vertices), dtype=int)
+    face_at[garment.faces] = np.arange(len(garment.faces))[:, None]
+    face = face_at[free]
+    place = garment.vertices[garment.faces[face]].mean(axis=1)
+    surface = BodySurface(avatar.vertices, avatar.faces)
+    around = np.zeros(distance.shape, dtype=bool)
+    for limb in np.unique(limbs[vertex_bone]):
+        skin = np.flatnonzero(limbs[vertex_bone] == limb)
+        skin = skin[cKDTree(avatar.vertices[skin]).query(place)[1]]
+        ways = place - avatar.vertices[skin]
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        seen = covering_faces(avatar.vertices[skin], ways, garment.vertices, garment.faces) == face
+        seen &= (avatar.faces[surface.facing(place, -ways, FARTHEST)[0]] == skin[:, None]).any(axis=1)
+        of_limb = np.where(limbs == limb, distance, np.inf)
+        about_closest = of_limb <= HUNG_BESIDE * of_limb.min(axis=1, keepdims=True)
+        around |= seen[:, None] & about_closest & np.isfinite(of_limb)
+    return around
 
 
 def _joined(parts: np.ndarray, parents: np.ndarray) -> np.ndarray:
