@@ -82,6 +82,17 @@ def test_a_cape_hangs_around_trunk_and_legs():
     assert touched >= {*legs, "spine03", "spine04", "spine05", "pelvis.L", "pelvis.R"}
 
 
+def test_a_poncho_is_no_trouser_leg():
+    """Its hem goes around the hips, so close to the head of a thigh that it might be a leg's."""
+    cone = tube(rings=30, segments=80, radius=1.0, height=1.0)
+    share = 0.5 - cone.vertices[:, 2:]
+    across = cone.vertices[:, :2] * (np.array([0.10, 0.12]) + np.array([0.30, 0.60]) * share**0.5) - [0.02, 0.0]
+    garment = Garment(np.column_stack([across, 0.56 - 0.62 * share]), cone.faces)
+    worn = Wearing.of(garment, BODY)
+    legs = [BONES.index(f"upperleg01.{side}") for side in "LR"]
+    assert worn.worn[:, legs].any(axis=0).all() and (worn.far_face == -1).all()
+
+
 @pytest.mark.parametrize("name", ["skirt", "circleskirt", "dress", "maxidress", "pencilskirt", "widetrousers"])
 def test_a_hem_hangs_around_parts_that_other_cloth_lies_on(name):
     """It adds none to the contact: no arm beside a skirt. Of two trouser legs each hangs around the limb in it."""

@@ -107,7 +107,8 @@ class Wearing:
         band = np.flatnonzero(np.isfinite(distance))
         gap, place = cKDTree(body).query(garment.vertices[band])
         own = near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]]
-        sleeved = np.isin(limbs, [limbs[bone] for bone, _ in left_by]) & ~bare
+        sleeved = (np.isin(limbs, [limbs[bone] for bone, _ in left_by]) & ~bare)[face_bone[own]]
+        sleeved[free] = False
         return cls(
             faces=faces,
             face_bone=face_bone.astype(np.int32),
@@ -115,7 +116,7 @@ class Wearing:
             other_limb=other_limb,
             bare=bare,
             own_face=own.astype(np.int32),
-            far_face=np.where(sleeved[face_bone[own]], _across(own, avatar, face_bone), -1).astype(np.int32),
+            far_face=np.where(sleeved, _across(own, avatar, face_bone), -1).astype(np.int32),
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
             band_distance=gap.astype(np.float32),
