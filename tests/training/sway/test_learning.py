@@ -10,6 +10,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_training.sway import body_codes, cloth_tuning, learning, walker_simulation
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
+from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
@@ -85,7 +86,7 @@ def test_tuning_lets_cloth_strain_less(band, monkeypatch):
         strained = ("stretch", "bend", "collision", "band")
         return sum(float(each.values.sum()) for each in cloth._potential.energies if each.name in strained)
 
-    before = energy(OffsetLayer(network.out, walkers))
+    before = energy(OffsetLayer(network.out, walkers, sway_share(model)))
     generator = torch.Generator().manual_seed(1)
     last = tuned_network(model, BODY_MODEL, walkers, features, network, some, generator, steps=40)
     assert energy(last) < 0.95 * before

@@ -20,6 +20,7 @@ from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
 from physkin_training.sway.export import exported
+from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
@@ -171,7 +172,7 @@ def learn_sway(
         missed = held_out_millimetres(walkers, features, held_out, last.coefficients, network)
         say(f"fine-tuned: {missed:.1f} mm from what walkers that were held out did")
     else:
-        last = OffsetLayer(network.out, walkers)
+        last = OffsetLayer(network.out, walkers, sway_share(model))
     return replace(model, sway=exported(network, last.folded(), joints, codes))
 
 
