@@ -1,6 +1,6 @@
 """Descent by windows of motion, the three frame rates in turn. On a GPU a step of each rate is recorded once.
 
-A step launches more than a thousand kernels that each take microseconds: launched one by one, the GPU would wait.
+A step is many kernels that each take microseconds: launched one by one, they would leave the GPU waiting.
 """
 
 from __future__ import annotations
