@@ -10,9 +10,9 @@ from functools import partial
 
 import torch
 
+from physkin_training.recorded_step import RecordedStep
 from physkin_training.soap import Soap
 from physkin_training.sway.windows import STRIDES, Window, Windows
-from physkin_training.train.recorded_step import RecordedStep
 
 __all__ = ["WindowDescent"]
 

@@ -31,6 +31,7 @@ from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
+from physkin_training.recorded_step import RecordedStep
 from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
@@ -38,7 +39,6 @@ from physkin_training.sampling.training_bodies import training_bodies
 from physkin_training.soap import TURN_EVERY, Soap
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.processes import Processes
-from physkin_training.train.recorded_step import RecordedStep
 from physkin_training.train.schedule import EARLY_REACH, Schedule
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
