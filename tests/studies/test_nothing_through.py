@@ -60,11 +60,11 @@ def test_vertices_inside_the_skin_are_counted_in_every_frame(walk, monkeypatch):
 
 def test_an_outfit_has_pixels_and_what_its_layers_cost(walk, capsys, monkeypatch):
     """A row for each outfit; a shirt over a skirt is stretched by it, and looked at."""
-    monkeypatch.setattr(nothing_through, "OUTFITS", ("skirt,tshirt", "skirt"))
+    monkeypatch.setattr(nothing_through, "OUTFITS", ("skirt,longsleeve", "skirt"))
     monkeypatch.setattr(nothing_through, "load_motion", lambda clip: walk)
     assert main(["walk", "--bodies", "average"]) == 0
     heads, _, *rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
-    assert heads == list(HEADS) and [row[:2] for row in rows] == [["skirt,tshirt", "average"], ["skirt", "average"]]
+    assert heads == list(HEADS) and [row[:2] for row in rows] == [["skirt,longsleeve", "average"], ["skirt", "average"]]
     over, alone = (dict(zip(heads, row)) for row in rows)
     assert over["frames"] == str(FRAMES) and float(over["seen pokes %"]) < 0.5
     assert float(over["added strain"]) > float(alone["added strain"]) > -1 and 0.5 < float(alone["jitter"]) < 1.5
