@@ -99,7 +99,7 @@ def tuned_network(
     windows, cloth = Windows(walkers, features, generator, kept=KEPT), _Cloth(model, body_model, walkers)
     of_body = [learnt[walkers.body.cpu()[learnt] == body] for body in range(len(walkers.bodies))]
     device, count = walkers.positions.device, WINDOWS * len(of_body)
-    draped = torch.tensor([k for k in range(count) if k % WINDOWS < DRAPED], device=device)
+    draped = torch.arange(count, device=device).view(-1, WINDOWS)[:, :DRAPED].flatten()
     spread = walkers.shapes.millimetres(walkers.coefficients[walkers.valid].float()).mean()
     squares = walkers.shapes.distance.diagonal()
     swing = SLOWLY / 2 * cloth.mass * spread / 1e6
