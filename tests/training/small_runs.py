@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from random_models import random_model, tube
 
 from physkin_core import Garment, GarmentModel, load_body_model
@@ -22,6 +23,7 @@ from physkin_training.config import (
     TrainingConfig,
 )
 from physkin_training.networks.export import model_from_drape
+from physkin_training.sway import body_codes, learning, walker_simulation
 from physkin_training.train.trainer import Trainer
 
 SIZES = NetworkConfig(
@@ -56,6 +58,19 @@ def waist_band_model(**options) -> GarmentModel:
     garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
     rig = load_body_model().rig
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02, **options)
+
+
+def simulate_walkers_quickly(patch: pytest.MonkeyPatch) -> None:
+    """Few bodies, and so few products that limbs go through the cloth, which is not lost for it."""
+    for module, name, value in (
+        (body_codes, "BODIES", 3),
+        (learning, "BATCH", 4),
+        (walker_simulation, "NEWTON", 1),
+        (walker_simulation, "PRODUCTS", 3),
+        (walker_simulation, "FIRST_STEPS", 1),
+        (walker_simulation, "MOST_DEEP", 1.0),
+    ):
+        patch.setattr(module, name, value)
 
 
 SMALL_DETAIL = DetailConfig(nodes=40, features=8, influences=3)

@@ -215,6 +215,7 @@ def write_vest(garment_model, template, tmp_path, monkeypatch):
             avatar=template,
             device=CPU,
             budget=budget,
+            sway="",
             **paths,
             **numbers,
         )
@@ -295,6 +296,10 @@ def test_the_report_says_what_was_taken_over_and_what_was_learnt():
     assert "and its sway network, by which cloth lags" in kept and "learn-sway" not in kept
     nothing = training_record.taken_over({}, sways=False)
     assert "began with nothing" in nothing and "no sway network" in nothing
+    own = "Its own sway network was learnt: so far."
+    for began in ({}, begun):
+        told = training_record.taken_over(began, sways=True, own_sway=own)
+        assert told.endswith(own) and "no sway" not in told and "lags" not in told
     told = training_record.learnt(begun, rows)
     assert told.startswith("From there") and "that of step 100: " in told and "1.7000 J (3.6000 J at first)" in told
     assert training_record.learnt({}, []).startswith("It learnt from scratch")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
-from training.small_runs import waist_band_model
+from training.small_runs import simulate_walkers_quickly, waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_training.sway import body_codes, cloth_tuning, learning, walker_simulation
+from physkin_training.sway import cloth_tuning, learning
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
-from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
@@ -23,17 +24,13 @@ CPU = torch.device("cpu")
 def band():
     """A model, eight walkers on two bodies, and what the network sees of them."""
     model = waist_band_model()
-    options = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, held_above=float("inf"), say=lambda text: None)
+    options = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, within=math.inf, say=lambda text: None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(body_codes, "BODIES", 3)
-        patch.setattr(walker_simulation, "NEWTON", 1)
-        patch.setattr(walker_simulation, "PRODUCTS", 3)
-        patch.setattr(walker_simulation, "FIRST_STEPS", 1)
-        patch.setattr(walker_simulation, "MOST_DEEP", 1.0)  # so few products let limbs through
+        simulate_walkers_quickly(patch)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         walkers = simulated_walkers(model, BODY_MODEL, BodyCodes.of(model, BODY_MODEL, CPU), CPU, **options)
-        yield model, walkers, Features(model.rig, swaying_joints(model, walkers.free.numpy()), CPU)
+        yield model, walkers, Features(model.rig, swaying_joints(model, walkers.share.numpy() > 0), CPU)
         torch.set_num_threads(threads)
 
 
@@ -41,7 +38,7 @@ def learnt(band, steps):
     model, walkers, features = band
     generator = torch.Generator().manual_seed(0)
     some, held_out = split(walkers, generator)
-    joints = len(swaying_joints(model, walkers.free.numpy()))
+    joints = len(swaying_joints(model, walkers.share.numpy() > 0))
     network = learnt_network(walkers, features, some, generator, joints=joints, steps=steps)
     return network, some, held_out
 
@@ -86,7 +83,7 @@ def test_tuning_lets_cloth_strain_less(band, monkeypatch):
         strained = ("stretch", "bend", "collision", "band")
         return sum(float(each.values.sum()) for each in cloth._potential.energies if each.name in strained)
 
-    before = energy(OffsetLayer(network.out, walkers, sway_share(model)))
+    before = energy(OffsetLayer(network.out, walkers))
     generator = torch.Generator().manual_seed(1)
     last = tuned_network(model, BODY_MODEL, walkers, features, network, some, generator, steps=40)
     assert energy(last) < 0.95 * before

@@ -70,9 +70,8 @@ def test_the_last_layer_is_the_same_in_shapes_in_numbers_and_folded():
     offsets[:, 12:] = 0
     cost = torch.eye(24) + 0.3
     shapes, _, _ = principal_shapes([offsets], torch.diag((torch.arange(24) < 12).float()), cost, 4, 1.0)
-    walkers = SimpleNamespace(shapes=shapes, cost=cost, free=torch.tensor([True, False]))
-    share = np.array([0.5, 1.0], dtype=np.float32)
-    last, hidden = OffsetLayer(network.out, walkers, np.ones_like(share)), torch.randn(5, network.out.in_features)
+    walkers = SimpleNamespace(shapes=shapes, cost=cost, share=torch.tensor([1.0, 0.0]))
+    last, hidden = OffsetLayer(network.out, walkers), torch.randn(5, network.out.in_features)
     with torch.no_grad():
         coefficients = network.out(hidden)
         torch.testing.assert_close(last(hidden)[:, :12], shapes.offsets(coefficients)[:, :12], atol=1e-4, rtol=1e-3)
@@ -80,7 +79,8 @@ def test_the_last_layer_is_the_same_in_shapes_in_numbers_and_folded():
         torch.testing.assert_close(last.coefficients(hidden), coefficients, atol=2e-2, rtol=1e-3)
         weight, bias = last.folded()
         torch.testing.assert_close(hidden @ weight.T + bias, last(hidden), atol=1e-5, rtol=1e-4)
-        less = OffsetLayer(network.out, walkers, share)(hidden)
+        walkers.share[0] = 0.5
+        less = OffsetLayer(network.out, walkers)(hidden)
         torch.testing.assert_close(less, 0.5 * last(hidden), atol=1e-5, rtol=1e-4)
 
 

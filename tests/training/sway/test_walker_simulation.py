@@ -33,7 +33,8 @@ def one_thread():
 def simulation():
     """Two bodies of two walkers in a band whose uppermost garment nodes are held."""
     model = waist_band_model()
-    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, held_above=HELD_ABOVE)
+    free = model.node_rest[:, 2] <= HELD_ABOVE
+    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, free=free)
 
 
 def motions(acceleration: float, frames: int, *, wind: float = 0.0) -> WalkerMotions:

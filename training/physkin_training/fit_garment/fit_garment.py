@@ -36,7 +36,10 @@ from physkin_training.fit_garment.recipe import (
     default_recipe,
     has_sizes_of,
     in_a_hurry,
+    learns_sway,
+    seconds_for_sway,
     started_from,
+    with_own_sway,
 )
 from physkin_training.fit_garment.report import placement_picture, write_report
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
@@ -68,14 +71,15 @@ FIGURES = "figures.json"
 """In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
 
 
-def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBudget) -> Trainer:
-    """A trainer of as many steps as leave time in the budget for export and report (see `REST`). Real steps are timed
-    for it, but for one in a hurry: it plans for some, and training leaves out what there is no time for.
+def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBudget, *, after: float = 0.0) -> Trainer:
+    """A trainer of as many steps as leave time in the budget for export and report (see `REST`), and for what takes so
+    many seconds after training. Real steps are timed for it, but for one in a hurry: it plans for some, and training
+    leaves out what there is no time for.
 
     Raises ValueError when they are too few to learn anything.
     """
     trainer = Trainer(config, device)
-    seconds = _for_training(budget)
+    seconds = _for_training(budget, after)
     if in_a_hurry(device, budget.seconds):
         steps = max(FEWEST_STEPS, int(STEPS_A_SECOND * seconds))
         trainer.config = replace(config, optimisation=replace(config.optimisation, steps=steps))
@@ -103,8 +107,9 @@ def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBu
     return trainer
 
 
-def _for_training(budget: TimeBudget) -> float:
-    return budget.left - min(REST * budget.seconds, LONGEST_REST)
+def _for_training(budget: TimeBudget, after: float) -> float:
+    """[s] after: kept for what follows training beside export and report."""
+    return budget.left - min(REST * budget.seconds, LONGEST_REST) - after
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -210,6 +215,7 @@ def _train_and_report(
 ) -> int:
     output, folder = options.output, mesh.parent
     configuration, losses, checkpoint = folder / "config.toml", folder / "losses.jsonl", folder / "checkpoint"
+    for_sway = seconds_for_sway(model, device, budget)
     resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
     if resumed:
         config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
@@ -217,7 +223,7 @@ def _train_and_report(
     else:
         _show_first(options, mesh, model, avatar)
         config = _configuration(options, mesh, model, device, budget)
-        trainer = None if options.steps else trainer_in_time(config, device, budget)
+        trainer = None if options.steps else trainer_in_time(config, device, budget, after=for_sway)
         config, earlier = trainer.config if trainer else config, 0.0
         configuration.write_text(as_toml(config))
         losses.unlink(missing_ok=True)
@@ -227,22 +233,30 @@ def _train_and_report(
     arguments += ["--log-every", str(max(often, min(200, config.optimisation.steps // 200)))]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
     arguments += ["--resume", str(checkpoint)] if resumed else []
-    status = train.main(arguments, within=max(_for_training(budget), LEAST_TRAINING), shown=output, trainer=trainer)
+    status = train.main(
+        arguments, within=max(_for_training(budget, for_sway), LEAST_TRAINING), shown=output, trainer=trainer
+    )
     del trainer  # the report needs its memory
     if status:
         return status
     seconds = earlier + budget.spent - began
     (folder / f"{config.name}.safetensors").replace(output)
+    trained, sway = load_garment_model(output), ""
+    if learns_sway(trained, device, budget):
+        trained, sway = with_own_sway(trained, device, budget)
+        print(sway)
+        save_garment_model(trained, output)
     report = output.with_suffix(".html")
     scores = write_report(
         report,
-        load_garment_model(output),
+        trained,
         checked,
         template,
         avatar if options.avatar else None,
         device,
         budget,
         losses=losses,
+        sway=sway,
         seconds=seconds,
         bodies=options.bodies,
         poses=options.poses,

@@ -1,7 +1,11 @@
-"""How a garment of one's own is trained: from nothing or from the nearest shipped garment, on a GPU or on a CPU."""
+"""How a garment of one's own is trained: from nothing or from the nearest shipped garment, on a GPU or on a CPU.
+
+And how it learns to sway, where training began with none that does.
+"""
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +15,22 @@ import torch
 from physkin_core.model.garment_model import GarmentModel
 from physkin_training.config import DetailConfig, OptimisationConfig, TrainingConfig
 from physkin_training.networks.export import network_config
+from physkin_training.rounding.rounded_sway import rounded_sway
+from physkin_training.sway.command import SwayPlan, learn_sway
+from physkin_training.time_budget import TimeBudget
 
-__all__ = ["STEPS_A_SECOND", "default_recipe", "has_sizes_of", "in_a_hurry", "started_from"]
+__all__ = [
+    "STEPS_A_SECOND",
+    "default_recipe",
+    "has_sizes_of",
+    "in_a_hurry",
+    "learns_sway",
+    "seconds_for_sway",
+    "started_from",
+    "with_own_sway",
+]
+
+log = logging.getLogger(__name__)
 
 DETAIL = DetailConfig(nodes=1024)
 OTHER_BENDING = 0.3
@@ -40,6 +58,14 @@ where it no longer falls."""
 
 MEASURED_EVERY = 250
 """Steps of such a run at most from one measurement to the next: it is at its best after some hundreds."""
+
+SWAY_PLAN = SwayPlan(walkers=5, rounds=1, steps=10000, tuning_steps=6000)
+"""A quarter of the walkers of `learn-sway` leaves 3 mm more of 85 to simulated skirts."""
+SWAY_SECONDS, LEAST_FOR_SWAY = 270.0, 600.0
+"""[s] It takes on an H100, simulating half of it, and what the whole command must have for it."""
+LEAST_GAIN = 2.0
+"""[mm] A network must come so much nearer to simulated cloth than cloth that does not sway, or it is not worth its
+time in every frame."""
 
 
 def default_recipe(name: str, mesh: Path, device: torch.device, *, seconds: float = math.inf) -> TrainingConfig:
@@ -73,3 +99,30 @@ def started_from(recipe: TrainingConfig, start: Path) -> TrainingConfig:
     """The recipe for a run that begins with a model of the garment."""
     often = min(recipe.optimisation.validate_every, MEASURED_EVERY)
     return replace(recipe, start=start, optimisation=replace(recipe.optimisation, validate_every=often, **GENTLE))
+
+
+def learns_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> bool:
+    """Whether a model gets a sway network: one that has none, on a GPU (a CPU would simulate walkers for hours)."""
+    return model.sway is None and device.type == "cuda" and budget.seconds >= LEAST_FOR_SWAY
+
+
+def seconds_for_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> float:
+    """[s] to keep for it."""
+    return SWAY_SECONDS if learns_sway(model, device, budget) else 0.0
+
+
+def with_own_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> tuple[GarmentModel, str]:
+    """The model with a sway network, and in words how good that is; or as it is, and why it has none."""
+    within = SWAY_SECONDS / 2 if math.isfinite(budget.seconds) else math.inf
+    try:
+        learnt = learn_sway(model, SWAY_PLAN, device, within=within, say=log.info)
+    except ValueError as error:
+        return model, f"It has no sway network: {error}."
+    figures = (
+        f"cloth of simulated walkers that were held out is {learnt.missed:.0f} mm from it on average, and "
+        f"{learnt.at_rest:.0f} mm from cloth that does not sway"
+    )
+    if learnt.at_rest - learnt.missed < LEAST_GAIN:
+        return model, f"It has no sway network, which would gain too little: {figures}."
+    sway = rounded_sway(learnt.network, model.rig)
+    return replace(model, sway=sway), f"Its own sway network was learnt: {figures}."

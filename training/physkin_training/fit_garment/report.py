@@ -77,6 +77,7 @@ def write_report(
     budget: TimeBudget,
     *,
     losses: Path,
+    sway: str,
     seconds: float,
     bodies: int,
     poses: int,
@@ -84,8 +85,9 @@ def write_report(
     """Evaluate the model on held-out bodies and write the page; the sheet of drapes also as PNG beside it. Returns the
     figures, of `evaluate_model`.
 
-    avatar: the user's own body, draped too; None for none. losses: the training's record. seconds: how long it took.
-    bodies, poses: see `evaluate_model`; there are fewer poses and pictures where the budget has no time for all.
+    avatar: the user's own body, draped too; None for none. losses: the training's record. sway: how it learnt to sway,
+    in words, "" where it did not try. seconds: how long training took. bodies, poses: see `evaluate_model`; there are
+    fewer poses and pictures where the budget has no time for all.
     Without the [view] extra the page has no pictures and says so.
     """
 
@@ -109,7 +111,7 @@ def write_report(
         f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
         "<h2>In short</h2>",
         *([f"<p>{badge('undertrained', 'warning')} {html.escape(too_short)}</p>"] if too_short else []),
-        _in_short(scores, model, rows),
+        _in_short(scores, model, rows, sway),
         "<h2>The mesh</h2>",
         _verdicts(checked),
         *([] if worn is None else [_how_it_sits(worn)]),
@@ -166,7 +168,7 @@ def _note(text: str) -> str:
     return f'<p class="note">No pictures: {html.escape(text)}</p>'
 
 
-def _in_short(scores: dict, model: GarmentModel, rows: list[dict]) -> str:
+def _in_short(scores: dict, model: GarmentModel, rows: list[dict], sway: str) -> str:
     """How good the model is, what it began with, what it learnt and whether longer would help: a list."""
     drape, plain = scores["model"], scores["skinning"]
     good = (
@@ -174,7 +176,7 @@ def _in_short(scores: dict, model: GarmentModel, rows: list[dict]) -> str:
         f"shorter than at rest on average ({plain['edge_strain_percent']:.1f} % where cloth only follows the bones), "
         f"and {drape['inside_percent']:.1f} % of its vertices are inside the body. In everyday poses it is less."
     )
-    begun = taken_over(model.training, sways=model.sway is not None)
+    begun = taken_over(model.training, sways=model.sway is not None, own_sway=sway)
     said = (good, begun, learnt(model.training, rows), longer_or_not(rows))
     return "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in said) + "</ul>"
 

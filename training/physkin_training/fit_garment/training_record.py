@@ -61,20 +61,20 @@ def longer_or_not(rows: list[dict]) -> str:
     )
 
 
-def taken_over(training: Mapping, *, sways: bool) -> str:
-    """What a run began with, in words. training: of its model. sways: whether that has a sway network."""
-    if not (start := training.get("started_from", {}).get("carried_from")):
-        return (
-            "Training began with nothing: everything the model knows was learnt on this mesh. It has no sway network, "
-            f"{NO_SWAY}"
-        )
+def taken_over(training: Mapping, *, sways: bool, own_sway: str = "") -> str:
+    """What a run began with, in words. training: of its model. sways: whether that has a sway network. own_sway: how it
+    learnt one of its own, in words, "" where it did not try."""
+    start = training.get("started_from", {}).get("carried_from")
+    if not start:
+        without = f"It has no sway network, {NO_SWAY}"
+        return f"Training began with nothing: everything the model knows was learnt on this mesh. {own_sway or without}"
     said = (
         f"Training began with {start}: its garment nodes, which carry the cloth, its networks, which move them by pose "
         "and body, and its folds between the nodes were taken over"
     )
-    if sways:
+    if sways and not own_sway:
         return f"{said}, and its sway network, by which cloth lags, swings and settles when the body moves."
-    return f"{said}. {start} has no sway network that could be taken over, {NO_SWAY}"
+    return f"{said}. {own_sway or f'{start} has no sway network that could be taken over, {NO_SWAY}'}"
 
 
 def learnt(training: Mapping, rows: list[dict]) -> str:

@@ -12,7 +12,6 @@ Dimensions: `B` bodies, `a = 12 m` numbers of garment nodes, `h` what the last l
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -21,7 +20,6 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.soap import Soap
-from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import KEPT, SWING, SWINGING, drawn_from, learning_rate, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
@@ -48,16 +46,15 @@ LARGEST_FORCE = 15.0
 class OffsetLayer(nn.Module):
     """The network's last layer, to offsets (..., a), learnt in coordinates in which what a difference costs is round.
 
-    Begins as what `out` makes of the walkers' shapes, of which each garment node has its `share` (m,). Garment nodes
-    that are held have none.
+    Begins as what `out` makes of the walkers' shapes, of which each garment node has its share.
     """
 
-    def __init__(self, out: nn.Linear, walkers: Walkers, share: np.ndarray) -> None:
+    def __init__(self, out: nn.Linear, walkers: Walkers) -> None:
         super().__init__()
         shapes, cost = walkers.shapes, walkers.cost.double()
         root = torch.linalg.cholesky(cost + 1e-6 * cost.diagonal().max() * torch.eye(len(cost), device=cost.device))
         inverse = torch.linalg.solve_triangular(root, torch.eye(len(cost), device=cost.device).double(), upper=False)
-        moves = (walkers.free * torch.as_tensor(share, device=cost.device)).repeat_interleave(12)
+        moves = walkers.share.repeat_interleave(12)
         self.register_buffer("_from_round", LAST_LAYER * inverse.float() * moves)
         self.register_buffer("_projection", self._from_round @ shapes.projection)
         self.register_buffer("_mean", shapes.mean @ shapes.projection)
@@ -93,7 +90,7 @@ def tuned_network(
     steps: int,
 ) -> OffsetLayer:
     """Tune a network in place, and its last layer, which is returned, for so many steps with the walkers `learnt`."""
-    last = OffsetLayer(network.out, walkers, sway_share(model))
+    last = OffsetLayer(network.out, walkers)
     own = [parameter for name, parameter in network.named_parameters() if not name.startswith("out")]
     optimiser = Soap([*own, *last.parameters()], [], walkers.positions.device)
     windows, cloth = Windows(walkers, features, generator, kept=KEPT), _Cloth(model, body_model, walkers)

@@ -15,6 +15,7 @@ import torch
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.model.sway_network import SwayNetwork
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.sway.body_codes import BodyCodes
@@ -26,7 +27,7 @@ from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
 from physkin_training.sway.walkers_file import load_walkers, save_walkers
 
-__all__ = ["SwayPlan", "command_parser", "learn_sway", "main"]
+__all__ = ["LearntSway", "SwayPlan", "command_parser", "learn_sway", "main"]
 
 SHORTEST = 0.5
 """[s] of a motion."""
@@ -37,7 +38,7 @@ class SwayPlan:
     """How much is simulated, and for how long it is learnt.
 
     bodies: of training; walkers on each of them at once; rounds of all of these, motions of so many seconds.
-    held_above: [m] in the canonical pose, garment nodes above do not sway. steps of learning, and of fine-tuning.
+    steps of learning, and of fine-tuning.
     Raises ValueError for a number that cannot be.
     """
 
@@ -45,7 +46,6 @@ class SwayPlan:
     walkers: int = 10
     rounds: int = 2
     seconds: float = 5.0
-    held_above: float = math.inf
     steps: int = 14000
     tuning_steps: int = 9000
     seed: int = 0
@@ -58,8 +58,16 @@ class SwayPlan:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least {allowed:g}, got {value}")
         if self.bodies * self.walkers * self.rounds == self.bodies:
             raise ValueError("one walker a body is too few: some are held out; raise --walkers or --rounds")
-        if math.isnan(self.held_above):
-            raise ValueError("--held-above must be a height [m], got nan")
+
+
+@dataclass(frozen=True)
+class LearntSway:
+    """A sway network. missed, at_rest: [mm] how far cloth of walkers that were held out is from it, and from cloth that
+    does not sway."""
+
+    network: SwayNetwork
+    missed: float
+    at_rest: float
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -74,13 +82,6 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, default=plan.rounds, help="motions of each walker (default %(default)s)")
     parser.add_argument(
         "--seconds", type=float, default=plan.seconds, help="length of each motion (default %(default)s)"
-    )
-    parser.add_argument(
-        "--held-above",
-        type=float,
-        default=plan.held_above,
-        metavar="Z",
-        help="garment nodes above this height of the canonical pose [m] do not sway, such as those of a bodice",
     )
     parser.add_argument("--steps", type=int, default=plan.steps, help="training steps (default %(default)s)")
     parser.add_argument(
@@ -116,7 +117,8 @@ def main(argv: list[str] | None = None) -> int:
     device = resolve_device(device)
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
-    save_garment_model(learn_sway(model, plan, device, walkers_file=file, say=print), output)
+    learnt = learn_sway(model, plan, device, walkers_file=file, say=print)
+    save_garment_model(replace(model, sway=learnt.network), output)
     print(f"wrote {output}: {output.stat().st_size / 1e6:.2f} MB")
     return 0
 
@@ -127,17 +129,18 @@ def learn_sway(
     device: torch.device,
     *,
     walkers_file: Path | None = None,
+    within: float = math.inf,
     say: Callable[[str], None],
-) -> GarmentModel:
-    """The model with a sway network, in place of one that it may have. walkers_file: simulated walkers are read from
-    there, or written to it. say: told how it goes.
+) -> LearntSway:
+    """A sway network for a model, which may have one already. walkers_file: simulated walkers are read from there, or
+    written to it. within: [s] that simulating may take. say: told how it goes.
 
-    Raises ValueError for a rig that everyday poses are not of, and as `SwayPlan`, `simulated_walkers` and
-    `load_walkers`.
+    Raises ValueError for cloth that nowhere hangs low enough, for a rig that everyday poses are not of, and as
+    `SwayPlan`, `simulated_walkers` and `load_walkers`.
     """
-    free = model.node_rest[:, 2] <= plan.held_above
+    free = sway_share(model) > 0
     if not free.any():
-        raise ValueError(f"--held-above {plan.held_above:g} m holds all garment nodes: none is left to sway")
+        raise ValueError(f"{model.name} lies on chest, shoulders, arms and head, where cloth does not sway")
     body_model = load_body_model()
     if plan.bodies > len(body_model.train_bodies):
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
@@ -155,7 +158,7 @@ def learn_sway(
             rounds=plan.rounds,
             seconds=plan.seconds,
             seed=plan.seed,
-            held_above=plan.held_above,
+            within=within,
             say=say,
         )
         if walkers_file is not None:
@@ -163,8 +166,10 @@ def learn_sway(
     features, generator = Features(model.rig, joints, device), torch.Generator().manual_seed(plan.seed)
     learnt, held_out = split(walkers, generator)
     network = learnt_network(walkers, features, learnt, generator, joints=len(joints), steps=plan.steps)
+    still = walkers.shapes.coefficients(torch.zeros_like(walkers.shapes.mean))
+    at_rest = held_out_millimetres(walkers, features, held_out, lambda hidden: still, network)
     missed = held_out_millimetres(walkers, features, held_out, network.out, network)
-    say(f"learnt: {missed:.1f} mm from what walkers that were held out did")
+    say(f"learnt: {missed:.1f} mm from what walkers that were held out did; without sway {at_rest:.1f} mm")
     if plan.tuning_steps:
         last = tuned_network(
             *(model, body_model, walkers, features, network, learnt, generator), steps=plan.tuning_steps
@@ -172,12 +177,12 @@ def learn_sway(
         missed = held_out_millimetres(walkers, features, held_out, last.coefficients, network)
         say(f"fine-tuned: {missed:.1f} mm from what walkers that were held out did")
     else:
-        last = OffsetLayer(network.out, walkers, sway_share(model))
-    return replace(model, sway=exported(network, last.folded(), joints, codes))
+        last = OffsetLayer(network.out, walkers)
+    return LearntSway(exported(network, last.folded(), joints, codes), missed, at_rest)
 
 
 def _described(model: GarmentModel, plan: SwayPlan) -> dict[str, object]:
     """What simulated walkers depend on, as plain data."""
     networks = hashlib.sha256(b"".join(np.ascontiguousarray(array) for layer in model.node_deformer for array in layer))
-    simulated = ("bodies", "walkers", "rounds", "seconds", "held_above", "seed")
+    simulated = ("bodies", "walkers", "rounds", "seconds", "seed")
     return {"garment": model.name, "networks": networks.hexdigest()} | {name: getattr(plan, name) for name in simulated}

@@ -93,9 +93,9 @@ class _Stance:
 class WalkerSimulation:
     """`each` walkers on each of bodies (S, c), shape coefficients of `body_model`.
 
-    held_above: [m] in the canonical pose; garment nodes above, as those of a bodice, stay as the model has them; the
-    others are `free` (m,). `inertia` [kg] and `cost` [J], both (12 m, 12 m): of a change of offsets, the mean over
-    bodies at rest: its mass, and what it strains cloth, with the inertia of cloth that swings.
+    free: (m,) bool, garment nodes that move; the others, as those of a bodice, stay as the model has them. `inertia`
+    [kg] and `cost` [J], both (12 m, 12 m): of a change of offsets, the mean over bodies at rest: its mass, and what it
+    strains cloth, with the inertia of cloth that swings.
     """
 
     def __init__(
@@ -106,14 +106,14 @@ class WalkerSimulation:
         each: int,
         device: torch.device,
         *,
-        held_above: float = float("inf"),
+        free: np.ndarray,
     ) -> None:
         body = torch.arange(len(bodies) * each, device=device) // each
         self.dressed = DressedSamples(model, body_model, bodies, body, one_size=in_one_size(len(bodies)))
         self.potential = potential_of_walkers(self.dressed)
         self.potential.collision.stiffness *= SOFTER_CONTACT
         self.skinning = NodeSkinning(self.dressed)
-        self.free = torch.as_tensor(model.node_rest[:, 2] <= held_above, device=device)
+        self.free = torch.as_tensor(free, device=device)
         self._solver = NodeStepSolver(self.dressed, self.potential, self.skinning, self.free)
         with torch.no_grad():
             self._learn_metric()

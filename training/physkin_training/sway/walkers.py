@@ -5,6 +5,8 @@ Dimensions: `N` walkers, `T` frames, `t` frames kept, `d` degrees of freedom, `c
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +18,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import Watch, progress_line
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.sway.body_codes import BodyCodes
+from physkin_training.sway.fading import sway_share
 from physkin_training.sway.motions import MotionPool, WalkerMotions
 from physkin_training.sway.shapes import Shapes, principal_shapes
 from physkin_training.sway.walker_simulation import WalkerSimulation
@@ -27,6 +30,8 @@ KEPT_EVERY = 4
 MOST_SHAPES = 160
 LEAST_VALID = 0.5
 """Share of the frames that must count."""
+TIMED_FROM = 0.03
+"""Share of the frames before which kernels are still being loaded; as many are timed then."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +40,8 @@ class Walkers:
     (N, T, 3) in its frame, see `WalkerMotions`, 60 frames a second. Of every fourth frame: coefficients (N, t, r)
     float16 of offsets, resistance (N, t, 12 m) float16 [mN] of inertia and drag, see `WalkerSimulation.run`, and
     whether they count, valid (N, t).
-    body (N,): which of the bodies; bodies (S, c'): their shape coefficients; codes (S, c). free: (m,) bool, garment
-    nodes that sway. cost: (12 m, 12 m), see `WalkerSimulation`.
+    body (N,): which of the bodies; bodies (S, c'): their shape coefficients; codes (S, c). share: (m,),
+    how much of it each garment node sways, see `sway_share`. cost: (12 m, 12 m), see `WalkerSimulation`.
     """
 
     positions: torch.Tensor
@@ -50,7 +55,7 @@ class Walkers:
     bodies: np.ndarray
     codes: torch.Tensor
     shapes: Shapes
-    free: torch.Tensor
+    share: torch.Tensor
     cost: torch.Tensor
 
 
@@ -65,29 +70,31 @@ def simulated_walkers(
     rounds: int,
     seconds: float,
     seed: int,
-    held_above: float,
+    within: float,
     say: Callable[[str], None],
 ) -> Walkers:
     """Simulate `rounds` times `each` walkers on each of so many bodies of training, motions of so many seconds.
 
-    say: told how it went. Raises ValueError where most cloth was lost, or none moves.
+    within: [s] that it may take. say: told how it went. Raises ValueError where most cloth was lost, none moves, or it
+    would take longer.
     """
     chosen = np.random.default_rng(seed).permutation(len(body_model.train_bodies))[:bodies]
     coefficients = body_model.train_bodies[chosen]
-    simulation = WalkerSimulation(model, body_model, coefficients, each, device, held_above=held_above)
+    share = sway_share(model)
+    simulation = WalkerSimulation(model, body_model, coefficients, each, device, free=share > 0)
     frames = round(seconds * RATE_HZ)
     pool, at_once = MotionPool(model.rig), bodies * each
-    watch = progress_line(f"simulating {rounds * at_once} walkers")
+    watch = _in_time(progress_line(f"simulating {rounds * at_once} walkers"), within)
     motions, found = [], []
     for index in range(rounds):
         motions.append(pool.drawn(range(index * at_once, (index + 1) * at_once), frames, seed=seed))
-        found.append(_simulated(simulation, motions[-1], lambda share, done=index: watch((done + share) / rounds)))
+        found.append(_simulated(simulation, motions[-1], lambda part, done=index: watch((done + part) / rounds)))
     offsets, resistance, valid = (torch.cat(parts) for parts in zip(*found))
     counted = float(valid.float().mean())
     say(f"{len(valid)} walkers of {seconds:g} s simulated, {counted:.1%} of their frames count")
     if counted < LEAST_VALID:
         lost = f"{1 - counted:.0%} of the frames, allowed {1 - LEAST_VALID:.0%}"
-        raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold? (--held-above keeps a bodice)")
+        raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold?")
     mass = float(simulation.potential.time_step.mass.mean(dim=0).sum())
     parts = (part[kept].float() for part, kept in zip(offsets.split(at_once), valid.split(at_once)))
     shapes, moved, missed = principal_shapes(parts, simulation.inertia, simulation.cost, MOST_SHAPES, mass)
@@ -106,9 +113,27 @@ def simulated_walkers(
         bodies=coefficients,
         codes=codes(simulation.dressed.body_modulation),
         shapes=shapes,
-        free=simulation.free,
+        share=torch.as_tensor(share, device=device),
         cost=simulation.cost,
     )
+
+
+def _in_time(watch: Watch, within: float) -> Watch:
+    """A watch that raises ValueError once it is sure that all takes longer [s] than it may."""
+    first: list[tuple[float, float]] = []
+
+    def checked(share: float) -> None:
+        watch(share)
+        if share < TIMED_FROM or not math.isfinite(within):
+            return
+        now = time.monotonic()
+        first.append((share, now))
+        timed, seconds = share - first[0][0], now - first[0][1]
+        if timed > TIMED_FROM and seconds > within * timed:
+            needed = seconds / timed / 60
+            raise ValueError(f"simulating walkers takes {needed:.1f} minutes here, and there are {within / 60:.1f}")
+
+    return checked
 
 
 def _simulated(simulation: WalkerSimulation, motions: WalkerMotions, watch: Watch) -> tuple[torch.Tensor, ...]:

@@ -16,7 +16,7 @@ from physkin_training.sway.walkers import Walkers
 
 __all__ = ["load_walkers", "save_walkers"]
 
-FORMAT = "physkin-walkers-3"
+FORMAT = "physkin-walkers-4"
 SHAPES = "shapes."
 """What the names of their arrays begin with."""
 
