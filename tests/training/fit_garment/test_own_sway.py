@@ -61,4 +61,4 @@ def test_a_gpu_that_takes_too_long_for_it(quick, monkeypatch):
     slow = iter(range(0, 100000, 60))
     monkeypatch.setattr(walkers, "time", SimpleNamespace(monotonic=lambda: next(slow)))
     same, said = recipe.with_own_sway(model, CPU, TimeBudget(15))
-    assert same is model and "simulating walkers takes" in said and "minutes here, and there are 2.2" in said
+    assert same is model and "simulating walkers takes" in said and "minutes here, and there are 4.0" in said
