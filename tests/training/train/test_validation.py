@@ -173,9 +173,10 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
 
 
 def test_patience_ends_a_run(tmp_path, monkeypatch):
-    """Two measurements without a better one after that of the third step; without patience all steps are taken."""
+    """Two measurements without a better one after that of the third step: it goes on where rates fall, at eight of
+    twelve steps, and ends after two more without a better one there."""
     options = {"growth": 0.0, "prune_from": 0.0, "prune_at": 0.0, "validate_every": 1, "full_encoding": 1.0}
     trainer = Trainer(small_config(tmp_path, patience=2, **options), CPU)
-    remaining = spoken(monkeypatch, [5.0, 4.0, 3.0, 3.5, 3.5, 1.0])
-    assert list(trainer.run(12)) == [1, 2, 3, 4, 5] and trainer.best.step == 3
+    remaining = spoken(monkeypatch, [5.0, 4.0, 3.0, 3.5, 3.5, 2.5, 2.6, 2.7, 1.0])
+    assert list(trainer.run(12)) == [1, 2, 3, 4, 8, 9, 10, 11] and trainer.best.step == 9
     assert trainer.settled and remaining == [1.0]

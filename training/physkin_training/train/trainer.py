@@ -46,6 +46,9 @@ from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERG
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
+LAST_PART = 0.6
+"""Share of the steps from which a run that has patience may end. One that is stuck before, as it is where few poses a
+step are much noise, goes on there, at learning rates that fall from a third."""
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 ENGINE_SHARE = 1 / 8
@@ -168,6 +171,8 @@ class Trainer:
             self.step += 1
             self.optimiser.turn_bases(self.step)
             self.validate()
+            if self._stuck and self.step < self._last_part:
+                self.skip_to(self._last_part)
             yield self.step
 
     def choose_steps(self, seconds: float) -> float:
@@ -204,13 +209,24 @@ class Trainer:
 
     @property
     def settled(self) -> bool:
-        """Whether as many measurements as the configuration has patience for have brought none better."""
-        optimisation = self.config.optimisation
-        waited = self.step - self.best.step if self.best else 0
+        """Whether learning rates have fallen, and still as many measurements as the configuration has patience for have
+        brought none better."""
+        return self._stuck and self.step >= self._last_part
+
+    @property
+    def _stuck(self) -> bool:
+        optimisation, best = self.config.optimisation, self.best.step if self.best else self.step
+        waited = self.step - (max(best, self._last_part) if self.step >= self._last_part else best)
         return bool(optimisation.patience) and waited >= optimisation.patience * optimisation.validate_every
 
+    @property
+    def _last_part(self) -> int:
+        """The step from which a run that has patience may end."""
+        return math.ceil(LAST_PART * self.config.optimisation.steps)
+
     def skip_to(self, step: int) -> None:
-        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen."""
+        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen, or comes no
+        further at its learning rate."""
         self._summed_from += step - self.step
         self.step = step
 
