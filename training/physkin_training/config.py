@@ -41,15 +41,16 @@ class ConfigError(ValueError):
 class OptimisationConfig:
     """Steps and schedules.
 
-    samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine after a linear warm-up over
-    `warm_up` of the run; `skinning_rate` 0 leaves skinning weights as they start. Pose range and contact stiffness grow
-    until `growth` of the run. From `prune_from` to `prune_at` of the run, influences a vertex fall one by one to
-    `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points, before from
-    `encoder_points` of them. `validate_every`: steps from one measurement of the moving average to the next, once range
-    and influences are final; the best one is exported. `patience`: measurements without a better one after which the
-    run goes on with its last 40 %, where learning rates are low, and after as many there ends; 0 for all steps. `steadiness` [J/m2]: weight of garment nodes that jump between
-    poses beside each other (see `Steadiness`). `other_bending`: share of the bodies whose cloth bends otherwise, from a
-    quarter to 32 times as stiffly. Every second body of a step wears the garment made to measure.
+    samples: poses a step, spread evenly over `bodies`. Learning rates decay along a cosine after a linear warm-up
+    over `warm_up` of the run; `skinning_rate` 0 leaves skinning weights as they start. Pose range and contact
+    stiffness grow until `growth` of the run. From `prune_from` to `prune_at` of the run, influences a vertex fall
+    one by one to `garment_nodes.influences`; from `full_encoding` on, bodies are encoded from all 4096 points,
+    before from `encoder_points` of them. `validate_every`: steps from one measurement of the moving average to the
+    next, once range and influences are final; the best one is exported. `patience`: measurements without a better
+    one after which the run goes on with its last 40 %, where learning rates are low, and after as many there ends;
+    0 for all steps. `steadiness` [J/m2]: weight of garment nodes that jump between poses beside each other (see
+    `Steadiness`). `other_bending`: share of the bodies whose cloth bends otherwise, from a quarter to 32 times as
+    stiffly. Every second body of a step wears the garment made to measure.
     """
 
     steps: Count = 100000

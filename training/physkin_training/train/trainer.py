@@ -225,8 +225,8 @@ class Trainer:
         return math.ceil(LAST_PART * self.config.optimisation.steps)
 
     def skip_to(self, step: int) -> None:
-        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen, or comes no
-        further at its learning rate."""
+        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen, or is
+        stuck."""
         self._summed_from += step - self.step
         self.step = step
 
