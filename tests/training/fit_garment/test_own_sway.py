@@ -39,10 +39,10 @@ def test_who_learns_it():
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_it_is_kept_where_it_comes_nearer_to_simulated_cloth(quick, monkeypatch):
     model = waist_band_model()
-    monkeypatch.setattr(recipe, "LEAST_GAIN", 1000.0)
+    monkeypatch.setattr(recipe, "WORTH", 0.0)
     without, said = recipe.with_own_sway(model, CPU, TimeBudget())
     assert without is model and "which would gain too little: cloth of simulated walkers" in said
-    monkeypatch.setattr(recipe, "LEAST_GAIN", -1000.0)
+    monkeypatch.setattr(recipe, "WORTH", 1000.0)
     swaying, said = recipe.with_own_sway(model, CPU, TimeBudget())
     assert swaying.sway is not None and "Its own sway network was learnt: cloth of simulated walkers" in said
     assert swaying.sway.out[1].shape == (12 * len(model.node_rest),)

@@ -62,12 +62,12 @@ class SwayPlan:
 
 @dataclass(frozen=True)
 class LearntSway:
-    """A sway network. missed, at_rest: [mm] how far cloth of walkers that were held out is from it, and from cloth that
-    does not sway."""
+    """A sway network. missed: [mm] how far cloth of walkers that were held out is from it. without: and from cloth that
+    stays where all walkers' cloth is on average, and does not swing."""
 
     network: SwayNetwork
     missed: float
-    at_rest: float
+    without: float
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -166,10 +166,10 @@ def learn_sway(
     features, generator = Features(model.rig, joints, device), torch.Generator().manual_seed(plan.seed)
     learnt, held_out = split(walkers, generator)
     network = learnt_network(walkers, features, learnt, generator, joints=len(joints), steps=plan.steps)
-    still = walkers.shapes.coefficients(torch.zeros_like(walkers.shapes.mean))
-    at_rest = held_out_millimetres(walkers, features, held_out, lambda hidden: still, network)
+    mean = torch.zeros(walkers.coefficients.shape[2], device=device)
+    without = held_out_millimetres(walkers, features, held_out, lambda hidden: mean, network)
     missed = held_out_millimetres(walkers, features, held_out, network.out, network)
-    say(f"learnt: {missed:.1f} mm from what walkers that were held out did; without sway {at_rest:.1f} mm")
+    say(f"learnt: {missed:.1f} mm from what walkers that were held out did; cloth that does not swing {without:.1f} mm")
     if plan.tuning_steps:
         last = tuned_network(
             *(model, body_model, walkers, features, network, learnt, generator), steps=plan.tuning_steps
@@ -178,7 +178,7 @@ def learn_sway(
         say(f"fine-tuned: {missed:.1f} mm from what walkers that were held out did")
     else:
         last = OffsetLayer(network.out, walkers)
-    return LearntSway(exported(network, last.folded(), joints, codes), missed, at_rest)
+    return LearntSway(exported(network, last.folded(), joints, codes), missed, without)
 
 
 def _described(model: GarmentModel, plan: SwayPlan) -> dict[str, object]:

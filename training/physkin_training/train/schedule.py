@@ -19,8 +19,9 @@ INITIAL_CONTACT = 0.1
 """Share of the material's contact stiffness at the start of the run."""
 FINAL_RATE = 0.005
 """Share of the learning rates that is left at the end of the run."""
-AVERAGE_DECAY = 0.999
-"""Decay a step of the moving average of networks and skinning weights."""
+AVERAGE_DECAY, AVERAGED = 0.999, 0.05
+"""Decay a step of the moving average of networks and skinning weights, and of how large a share of the run it is the
+average: over a thousand steps it would lag behind a short run."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,9 @@ class Schedule:
             learning_rate=optimisation.learning_rate * factor,
             skinning_rate=optimisation.skinning_rate * factor,
             # A young average forgets faster, so that it does not hold on to the untrained start.
-            average_decay=min(AVERAGE_DECAY, (1 + step) / (10 + step)),
+            average_decay=max(
+                0.0, min(AVERAGE_DECAY, 1 - 1 / (AVERAGED * optimisation.steps), (1 + step) / (10 + step))
+            ),
             influences=influences_left(progress, config, config.garment_nodes.influences),
             engine_influences=influences_left(progress, config, config.garment_nodes.engine_influences),
             encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
