@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from physkin_core.motion.motion import Motion
-from physkin_training.dynamics.swing_figures import octaves, turning
+from physkin_training.dynamics.swing_figures import hem_velocity, octaves, turning
 
 
 def test_a_hem_that_twists_and_flares():
@@ -24,7 +23,7 @@ def test_octaves_tell_slow_motion_from_quick_one():
     times = np.arange(600) / 60
     still = np.zeros((600, 3, 3)) + [[0, 0, 0], [0, 0, -1], [0, 0, -2]]
     slow, quick = (np.sin(2 * np.pi * rate * times)[:, None, None] * [1, 0, 0] for rate in (0.75, 3.0))
-    motion = Motion((), np.zeros((600, 0)), np.tile([0, 0, 0, 1.0], (600, 1)), np.zeros((600, 3)), 60.0)
-    found = octaves(still + 0.5 * slow + 2 * quick, still + slow + quick, motion)
+    own, simulated = (hem_velocity(points) for points in (still + 0.5 * slow + 2 * quick, still + slow + quick))
+    found = octaves(own, simulated, 60.0)
     assert list(found) == ["0.5", "1", "2", "4"]
     assert found["0.5"] == pytest.approx(0.5, rel=0.01) and found["2"] == pytest.approx(2, rel=0.01)

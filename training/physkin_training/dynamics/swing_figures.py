@@ -10,7 +10,7 @@ import numpy as np
 
 from physkin_core.motion.motion import Motion
 
-__all__ = ["OCTAVES", "octaves", "settling", "swing", "turning"]
+__all__ = ["OCTAVES", "hem_velocity", "octaves", "settling", "swing", "turning"]
 
 LOWEST = 0.34
 """Share of the points, the lowest, that are looked at."""
@@ -66,19 +66,24 @@ def turning(points: np.ndarray) -> dict[str, float]:
     return {"twist_degrees": float(np.degrees(np.abs(twist).max())), "flare_mm": 1000 * float(outwards.max())}
 
 
-def octaves(points: np.ndarray, simulated: np.ndarray, motion: Motion) -> dict[str, float]:
-    """How fast the lowest points (of (T, k, 3)) move to and fro in each octave from 0.5 to 8 Hz, over what simulated
-    ones do: ratios of root mean squares, by the lower end of the octave [Hz]."""
+def hem_velocity(points: np.ndarray) -> np.ndarray:
+    """Steps of the lowest points (of (T, k, 3)) from frame to frame."""
+    return np.diff(_low(points).astype(np.float64), axis=0)
 
-    def rates(of: np.ndarray) -> np.ndarray:
-        velocity = np.diff(_low(of).astype(np.float64), axis=0)
-        window = np.hanning(len(velocity))[:, None, None]
-        return (np.abs(np.fft.rfft((velocity - velocity.mean(axis=0)) * window, axis=0)) ** 2).sum(axis=(1, 2))
 
-    frequency = np.fft.rfftfreq(len(points) - 1, 1 / motion.rate_hz)
-    own, theirs = rates(points), rates(simulated)
+def octaves(own: np.ndarray, simulated: np.ndarray, rate_hz: float) -> dict[str, float]:
+    """How much a signal (T, ...) goes to and fro in each octave from 0.5 to 8 Hz, over what the simulated one does:
+    ratios of root mean squares, by the lower end of the octave [Hz]."""
+    frequency = np.fft.rfftfreq(len(own), 1 / rate_hz)
+
+    def power(signal: np.ndarray) -> np.ndarray:
+        flat = signal.reshape(len(signal), -1)
+        window = np.hanning(len(flat))[:, None]
+        return (np.abs(np.fft.rfft((flat - flat.mean(axis=0)) * window, axis=0)) ** 2).sum(axis=1)
+
+    ours, theirs = power(own), power(simulated)
     bands = [(frequency >= low) & (frequency < high) for low, high in zip(OCTAVES, OCTAVES[1:])]
-    return {f"{low:g}": float(np.sqrt(own[band].sum() / theirs[band].sum())) for low, band in zip(OCTAVES, bands)}
+    return {f"{low:g}": float(np.sqrt(ours[band].sum() / theirs[band].sum())) for low, band in zip(OCTAVES, bands)}
 
 
 def _low(points: np.ndarray) -> np.ndarray:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_training.config import TrainingConfig
 from physkin_training.sampling.pose_sampling import pose_range
+from physkin_training.train.validation import BestModel
 
-__all__ = ["EARLY_REACH", "LATE_REACH", "Schedule"]
+__all__ = ["EARLY_REACH", "LATE_REACH", "Schedule", "is_stuck", "last_part"]
 
 EARLY_REACH = 0.1
 """How far [m] bodies are looked for while the pose range grows: heavy ones start that deep in the garment."""
@@ -19,6 +20,9 @@ INITIAL_CONTACT = 0.1
 """Share of the material's contact stiffness at the start of the run."""
 FINAL_RATE = 0.005
 """Share of the learning rates that is left at the end of the run."""
+LAST_PART = 0.6
+"""Share of the steps from which a run that has patience may end. One that is stuck before, as it is where few poses a
+step are much noise, goes on there, at learning rates that fall from a third."""
 AVERAGE_DECAY, AVERAGED = 0.999, 0.05
 """Decay a step of the moving average of networks and skinning weights, and of how large a share of the run it is the
 average: over a thousand steps it would lag behind a short run."""
@@ -66,6 +70,19 @@ class Schedule:
             encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
             reach=EARLY_REACH if progress < optimisation.growth else LATE_REACH,
         )
+
+
+def last_part(config: TrainingConfig) -> int:
+    """The step from which a run that has patience may end."""
+    return math.ceil(LAST_PART * config.optimisation.steps)
+
+
+def is_stuck(step: int, best: BestModel | None, config: TrainingConfig) -> bool:
+    """Whether as many measurements as the configuration has patience for, in the last part of it alone, have brought
+    none better than the best."""
+    optimisation, last = config.optimisation, last_part(config)
+    waited = step - max(best.step if best else step, last if step >= last else 0)
+    return bool(optimisation.patience) and waited >= optimisation.patience * optimisation.validate_every
 
 
 def influences_left(progress: float, config: TrainingConfig, fewest: int) -> int:

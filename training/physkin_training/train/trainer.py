@@ -39,16 +39,13 @@ from physkin_training.sampling.training_bodies import training_bodies
 from physkin_training.soap import TURN_EVERY, Soap
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.processes import Processes
-from physkin_training.train.schedule import EARLY_REACH, Schedule
+from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
-LAST_PART = 0.6
-"""Share of the steps from which a run that has patience may end. One that is stuck before, as it is where few poses a
-step are much noise, goes on there, at learning rates that fall from a third."""
 NORMALISING_POSES = 2048
 """Poses from which the node deformer's inputs are scaled."""
 ENGINE_SHARE = 1 / 8
@@ -171,8 +168,8 @@ class Trainer:
             self.step += 1
             self.optimiser.turn_bases(self.step)
             self.validate()
-            if self._stuck and self.step < self._last_part:
-                self.skip_to(self._last_part)
+            if is_stuck(self.step, self.best, self.config):
+                self.skip_to(max(self.step, last_part(self.config)))
             yield self.step
 
     def choose_steps(self, seconds: float) -> float:
@@ -209,24 +206,11 @@ class Trainer:
 
     @property
     def settled(self) -> bool:
-        """Whether learning rates have fallen, and still as many measurements as the configuration has patience for have
-        brought none better."""
-        return self._stuck and self.step >= self._last_part
-
-    @property
-    def _stuck(self) -> bool:
-        optimisation, best = self.config.optimisation, self.best.step if self.best else self.step
-        waited = self.step - (max(best, self._last_part) if self.step >= self._last_part else best)
-        return bool(optimisation.patience) and waited >= optimisation.patience * optimisation.validate_every
-
-    @property
-    def _last_part(self) -> int:
-        """The step from which a run that has patience may end."""
-        return math.ceil(LAST_PART * self.config.optimisation.steps)
+        """Whether nothing gets better, even in the last part of the run."""
+        return is_stuck(self.step, self.best, self.config) and self.step >= last_part(self.config)
 
     def skip_to(self, step: int) -> None:
-        """Leave out the steps before `step`, where a run has become slower than it was when they were chosen, or is
-        stuck."""
+        """Leave out the steps before `step`, as a run has become slower than when they were chosen, or is stuck."""
         self._summed_from += step - self.step
         self.step = step
 
