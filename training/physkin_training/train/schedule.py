@@ -23,9 +23,8 @@ FINAL_RATE = 0.005
 LAST_PART = 0.6
 """Share of the steps from which a run that has patience may end. One that is stuck before, as it is where few poses a
 step are much noise, goes on there, at learning rates that fall from a third."""
-AVERAGE_DECAY, AVERAGED = 0.999, 0.05
-"""Decay a step of the moving average of networks and skinning weights, and of how large a share of the run it is the
-average: over a thousand steps it would lag behind a short run."""
+AVERAGE_DECAY = 0.999
+"""Decay a step of the moving average of networks and skinning weights."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,7 @@ class Schedule:
             learning_rate=optimisation.learning_rate * factor,
             skinning_rate=optimisation.skinning_rate * factor,
             # A young average forgets faster, so that it does not hold on to the untrained start.
-            average_decay=max(
-                0.0, min(AVERAGE_DECAY, 1 - 1 / (AVERAGED * optimisation.steps), (1 + step) / (10 + step))
-            ),
+            average_decay=min(AVERAGE_DECAY, (1 + step) / (10 + step)),
             influences=influences_left(progress, config, config.garment_nodes.influences),
             engine_influences=influences_left(progress, config, config.garment_nodes.engine_influences),
             encoder_points=POINT_COUNT if progress >= optimisation.full_encoding else optimisation.encoder_points,
