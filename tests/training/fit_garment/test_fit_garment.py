@@ -64,18 +64,33 @@ class Watch:
         return self.now
 
 
-def test_from_mesh_to_report(band, recipe, tmp_path, capsys, no_pictures):
-    """A model that loads, made of the repaired mesh, and a page that holds verdicts, figures and no other file."""
+def test_from_mesh_to_report(band, recipe, tmp_path, capsys, no_pictures, monkeypatch):
+    """A model that loads, made of the repaired mesh, and a page that holds verdicts, figures and no other file. What
+    learns to sway is the trained model, and its page says how."""
+    sways = "Its own sway network was learnt: by a test."
+    monkeypatch.setattr(fit_garment, "learns_sway", lambda model, device, budget: True)
+    monkeypatch.setattr(
+        fit_garment, "with_own_sway", lambda model, *_: (replace(model, training=model.training | {"sways": 1}), sways)
+    )
     output = tmp_path / "band.safetensors"
     arguments = ["--recipe", str(recipe), "--steps", "12", "--device", "cpu", "--bodies", "1", "--poses", "2"]
     assert main(["fit-garment", str(band), "-o", str(output), *arguments]) == 0
     model = load_garment_model(output)
-    assert model.name == "band" and model.training["optimisation"]["steps"] == 12
+    assert model.name == "band" and model.training["optimisation"]["steps"] == 12 and model.training["sways"] == 1
     repaired = load_garment(tmp_path / "band" / "garment.obj")
     np.testing.assert_array_equal(model.garment.faces, repaired.faces)
     assert np.ptp(repaired.vertices[:, 2]) == pytest.approx(0.3, abs=0.02)
     page = (tmp_path / "band.html").read_text()
-    for words in ("centimetres", "faces turned", ">repaired</span>", "the model", "plain skinning", "12 steps", "<svg"):
+    for words in (
+        "centimetres",
+        "faces turned",
+        ">repaired</span>",
+        "the model",
+        "plain skinning",
+        "12 steps",
+        "<svg",
+        sways,
+    ):
         assert words in page
     assert "<img" not in page and not re.search(r'(src|href)="(?!data:|#)', page)
     printed = capsys.readouterr().out
