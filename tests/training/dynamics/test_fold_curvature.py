@@ -26,13 +26,19 @@ def test_a_tube_wherever_it_is(skirt):
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
     inner = np.abs(skirt.vertices[:, 2] - skirt.vertices[:, 2].mean()) < 0.1
     assert np.abs(found[0][inner]) == pytest.approx(0.5 / RADIUS, rel=0.2)
+    assert len(set(np.sign(found[0][inner]))) == 1
 
 
 def test_flutes_bend_in_and_out(skirt):
-    """Eight flutes of 2 cm on every fourth vertex: as often one way as the other, against a round tube."""
+    """Eight flutes, 2 cm deep: both ways, and far more than a round tube does."""
     around = np.arctan2(skirt.vertices[:, 1], skirt.vertices[:, 0])
     fluted = skirt.vertices * (1 + 0.1 * np.cos(8 * around))[:, None] ** [1, 1, 0]
     found = FoldCurvature(skirt, np.arange(len(around)))(np.stack([skirt.vertices, fluted]))
     round_tube, flutes = found
     assert np.ptp(flutes) > 5 * np.ptp(round_tube)
     assert (flutes > 0).any() and (flutes < 0).any() and len(set(np.sign(round_tube))) == 1
+
+
+def test_too_few_points(skirt):
+    with pytest.raises(ValueError, match="at least 7 points, got 6"):
+        FoldCurvature(skirt, np.arange(6))

@@ -68,15 +68,17 @@ def test_from_mesh_to_report(band, recipe, tmp_path, capsys, no_pictures, monkey
     """A model that loads, made of the repaired mesh, and a page that holds verdicts, figures and no other file. What
     learns to sway is the trained model, and its page says how."""
     sways = "Its own sway network was learnt: by a test."
-    monkeypatch.setattr(fit_garment, "learns_sway", lambda model, device, budget: True)
+    monkeypatch.setattr(fit_garment, "learns_sway", lambda *_, seconds: seconds == np.inf)
     monkeypatch.setattr(
-        fit_garment, "with_own_sway", lambda model, *_: (replace(model, training=model.training | {"sways": 1}), sways)
+        fit_garment,
+        "with_own_sway",
+        lambda model, *_, within: (replace(model, training=model.training | {"sways": within == np.inf}), sways),
     )
     output = tmp_path / "band.safetensors"
     arguments = ["--recipe", str(recipe), "--steps", "12", "--device", "cpu", "--bodies", "1", "--poses", "2"]
     assert main(["fit-garment", str(band), "-o", str(output), *arguments]) == 0
     model = load_garment_model(output)
-    assert model.name == "band" and model.training["optimisation"]["steps"] == 12 and model.training["sways"] == 1
+    assert model.name == "band" and model.training["optimisation"]["steps"] == 12 and model.training["sways"] is True
     repaired = load_garment(tmp_path / "band" / "garment.obj")
     np.testing.assert_array_equal(model.garment.faces, repaired.faces)
     assert np.ptp(repaired.vertices[:, 2]) == pytest.approx(0.3, abs=0.02)

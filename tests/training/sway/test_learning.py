@@ -12,6 +12,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_training.sway import cloth_tuning, learning
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
+from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
@@ -29,7 +30,8 @@ def band():
         simulate_walkers_quickly(patch)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
-        walkers = simulated_walkers(model, BODY_MODEL, BodyCodes.of(model, BODY_MODEL, CPU), CPU, **options)
+        codes = BodyCodes.of(model, BODY_MODEL, CPU)
+        walkers = simulated_walkers(model, BODY_MODEL, codes, sway_share(model), CPU, **options)
         yield model, walkers, Features(model.rig, swaying_joints(model, walkers.share.numpy() > 0), CPU)
         torch.set_num_threads(threads)
 

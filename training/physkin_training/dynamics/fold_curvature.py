@@ -14,15 +14,18 @@ from scipy.sparse.csgraph import dijkstra
 
 from physkin_core.model.garment import Garment, vertex_normals
 
-__all__ = ["FoldCurvature"]
+__all__ = ["NEIGHBOURS", "FoldCurvature"]
 
 NEIGHBOURS = 6
 
 
 class FoldCurvature:
-    """Of points of a garment, `vertices` (k,), at least seven: neighbours are the nearest along its edges at rest."""
+    """Of points of a garment, `vertices` (k,), whose neighbours are the nearest along its edges at rest. Raises
+    ValueError for fewer than seven."""
 
     def __init__(self, garment: Garment, vertices: np.ndarray) -> None:
+        if len(vertices) <= NEIGHBOURS:
+            raise ValueError(f"curvature is of at least {NEIGHBOURS + 1} points, got {len(vertices)}")
         (here, there), count = garment.edges.T, len(garment.vertices)
         edges = csr_array((garment.edge_lengths, (here, there)), shape=(count, count))
         away = dijkstra(edges, directed=False, indices=vertices)[:, vertices]

@@ -67,7 +67,7 @@ def turning(points: np.ndarray) -> dict[str, float]:
 
 
 def hem_velocity(points: np.ndarray) -> np.ndarray:
-    """Steps of the lowest points (of (T, k, 3)) from frame to frame."""
+    """(T - 1, l, 3) [m a frame] of the l lowest points (of (T, k, 3))."""
     return np.diff(_low(points).astype(np.float64), axis=0)
 
 

@@ -24,7 +24,7 @@ from physkin_core.motion.motion import Motion
 from physkin_core.outfit.draper import Draper
 from physkin_core.quality import edge_strain
 from physkin_core.sway.frame_input import FrameInput
-from physkin_training.dynamics.fold_curvature import FoldCurvature
+from physkin_training.dynamics.fold_curvature import NEIGHBOURS, FoldCurvature
 from physkin_training.dynamics.frame_potential import frame_potentials
 from physkin_training.dynamics.reference import Reference, load_reference
 from physkin_training.dynamics.scenes import ACTED_SCENES, ROOT_SCENES, scene_wind
@@ -94,8 +94,8 @@ def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], devi
     In `dynamic`: `rmse_mm`, `moving_rmse_mm`, `velocity_rmse_ms`, `potential_ratio` (incremental potential over the
     simulation's, gravity counted from there), with the same of drapes without sway under `quasi_static`; `at_rest_mm`;
     `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
-    by frequency, each `simulated`, `quasi_static` and `swaying`; `octaves` of the hem's velocity in clips, and
-    `fold_octaves` of the folds' curvature, see there, of the last two;
+    by frequency, each `simulated`, `quasi_static` and `swaying`; of the last two, in clips, `octaves` of the hem's
+    velocity and `fold_octaves` of the folds' curvature;
     `rate_divergence_mm`, `drop_divergence_mm`; `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still
     moves in a frame three seconds after a stop; `added_step_us` that time and root add to a step of the evaluator.
     """
@@ -183,8 +183,9 @@ def _swinging(rows: list[Played]) -> dict:
     found: dict = {"swings": {}}
     clips = [row for row in rows if row.reference.motion.name not in (*ROOT_SCENES, *ACTED_SCENES)]
     if clips:
-        for name, signal in (("octaves", _hem_velocity), ("fold_octaves", _fold_curvature)):
-            found[name] = {kind: _mean([_octaves(row, kind, signal) for row in clips]) for kind in kinds[1:]}
+        by_clip = [_octaves(row) for row in clips]
+        for name in by_clip[0]:
+            found[name] = {kind: _mean([each[name][kind] for each in by_clip]) for kind in kinds[1:]}
     for name in sorted({row.reference.motion.name for row in rows}):
         of_scene = [row for row in rows if row.reference.motion.name == name]
         if name.startswith("swing-"):
@@ -198,17 +199,19 @@ def _swinging(rows: list[Played]) -> dict:
     return found
 
 
-def _octaves(row: Played, kind: str, signal: Callable[[Played, np.ndarray], np.ndarray]) -> dict[str, float]:
-    own, simulated = (signal(row, points) for points in (getattr(row, kind), row.simulated))
-    return octaves(own, simulated, row.reference.motion.rate_hz)
-
-
-def _hem_velocity(row: Played, points: np.ndarray) -> np.ndarray:
-    return hem_velocity(points)
-
-
-def _fold_curvature(row: Played, points: np.ndarray) -> np.ndarray:
-    return FoldCurvature(row.draper.rest_garment, row.reference.vertices)(points)
+def _octaves(row: Played) -> dict[str, dict[str, dict[str, float]]]:
+    """By kind of drape, of the hem's velocity and, if there are points enough, of the folds' curvature."""
+    signals = {"octaves": hem_velocity}
+    if len(row.reference.vertices) > NEIGHBOURS:
+        signals["fold_octaves"] = FoldCurvature(row.draper.rest_garment, row.reference.vertices)
+    found = {}
+    for name, signal in signals.items():
+        simulated = signal(row.simulated)
+        found[name] = {
+            kind: octaves(signal(getattr(row, kind)), simulated, row.reference.motion.rate_hz)
+            for kind in ("quasi_static", "swaying")
+        }
+    return found
 
 
 def _ended(row: Played, points: np.ndarray) -> dict[str, float]:

@@ -1,7 +1,8 @@
 """`physkin fit-garment`: from a garment mesh or a sewing pattern of one's own to a trained model and a report.
 
 Sews a pattern, checks and repairs the mesh with verdicts in plain words, measures how fast this machine trains, trains
-with the recipe of `TrainingConfig`, exports, and writes a one-page HTML report: all in the minutes given.
+with the recipe of `TrainingConfig`, exports, lets the garment learn to sway, and writes a one-page HTML report: all in
+the minutes given.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ from physkin_training.fit_garment.first_model import chosen_start, first_look, f
 from physkin_training.fit_garment.options import ADVICE, DEFAULT_MINUTES, FEWEST_STEPS, checked_device, command_parser
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.recipe import (
+    LEARNING,
+    SIMULATING,
     STEPS_A_SECOND,
     default_recipe,
     has_sizes_of,
     in_a_hurry,
     learns_sway,
-    seconds_for_sway,
     started_from,
     with_own_sway,
 )
@@ -89,8 +91,8 @@ def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBu
     if seconds <= 0:
         raise ValueError(
             f"{minutes} are too few: {budget.spent:.0f} s went by before training, and "
-            f"{budget.left - seconds:.0f} s are kept for export and report: {ADVICE}, of --minutes about "
-            f"{math.ceil((budget.spent + FEWEST_SECONDS) / (1 - REST) / 60)}"
+            f"{budget.left - seconds:.0f} s are kept for sway, export and report: {ADVICE}, of --minutes about "
+            f"{math.ceil((budget.spent + FEWEST_SECONDS + after) / (1 - REST) / 60)}"
         )
     try:
         rate = trainer.choose_steps(seconds)
@@ -108,7 +110,7 @@ def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBu
 
 
 def _for_training(budget: TimeBudget, after: float) -> float:
-    """[s] after: kept for what follows training beside export and report."""
+    """Seconds for training. after: [s] kept for what follows it beside export and report."""
     return budget.left - min(REST * budget.seconds, LONGEST_REST) - after
 
 
@@ -215,15 +217,18 @@ def _train_and_report(
 ) -> int:
     output, folder = options.output, mesh.parent
     configuration, losses, checkpoint = folder / "config.toml", folder / "losses.jsonl", folder / "checkpoint"
-    for_sway = seconds_for_sway(model, device, budget)
     resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
     if resumed:
-        config, earlier, budget = load_config(configuration), recorded_seconds(losses), TimeBudget()
-        trainer = None
+        config = load_config(configuration)
     else:
         _show_first(options, mesh, model, avatar)
         config = _configuration(options, mesh, model, device, budget)
-        trainer = None if options.steps else trainer_in_time(config, device, budget, after=for_sway)
+    sways = learns_sway(config, model, device, seconds=budget.seconds)
+    after = SIMULATING + LEARNING if sways else 0.0
+    if resumed:
+        trainer, earlier, budget = None, recorded_seconds(losses), TimeBudget()
+    else:
+        trainer = None if options.steps else trainer_in_time(config, device, budget, after=after)
         config, earlier = trainer.config if trainer else config, 0.0
         configuration.write_text(as_toml(config))
         losses.unlink(missing_ok=True)
@@ -233,17 +238,17 @@ def _train_and_report(
     arguments += ["--log-every", str(max(often, min(200, config.optimisation.steps // 200)))]
     arguments += ["--checkpoint-every", str(options.checkpoint_every)]
     arguments += ["--resume", str(checkpoint)] if resumed else []
-    status = train.main(
-        arguments, within=max(_for_training(budget, for_sway), LEAST_TRAINING), shown=output, trainer=trainer
-    )
+    within = max(_for_training(budget, after), LEAST_TRAINING)
+    status = train.main(arguments, within=within, shown=output, trainer=trainer)
     del trainer  # the report needs its memory
     if status:
         return status
     seconds = earlier + budget.spent - began
     (folder / f"{config.name}.safetensors").replace(output)
     trained, sway = load_garment_model(output), ""
-    if learns_sway(trained, device, budget):
-        trained, sway = with_own_sway(trained, device, budget)
+    if sways:
+        within = max(_for_training(budget, LEARNING), SIMULATING)
+        trained, sway = with_own_sway(trained, device, within=within)
         print(sway)
         save_garment_model(trained, output)
     report = output.with_suffix(".html")

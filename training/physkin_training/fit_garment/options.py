@@ -73,7 +73,7 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
         "--minutes", type=float, help="minutes for a garment and its report (default: 15 on a GPU, 480 on a CPU)"
     )
     length.add_argument(
-        "--steps", type=int, help="training steps, instead of --minutes; the report takes additional time"
+        "--steps", type=int, help="training steps, instead of --minutes; report and sway take additional time"
     )
     parser.add_argument(
         "--from",

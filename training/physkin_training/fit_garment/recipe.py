@@ -13,19 +13,21 @@ from pathlib import Path
 import torch
 
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import DetailConfig, OptimisationConfig, TrainingConfig
 from physkin_training.networks.export import network_config
 from physkin_training.rounding.rounded_sway import rounded_sway
 from physkin_training.sway.command import SwayPlan, learn_sway
-from physkin_training.time_budget import TimeBudget
+from physkin_training.sway.fading import sway_share
 
 __all__ = [
+    "LEARNING",
+    "SIMULATING",
     "STEPS_A_SECOND",
     "default_recipe",
     "has_sizes_of",
     "in_a_hurry",
     "learns_sway",
-    "seconds_for_sway",
     "started_from",
     "with_own_sway",
 ]
@@ -60,10 +62,10 @@ MEASURED_EVERY = 250
 """Steps of such a run at most from one measurement to the next: it is at its best after some hundreds."""
 
 SWAY_PLAN = SwayPlan(walkers=5, rounds=1, steps=10000, tuning_steps=6000)
-"""A quarter of the walkers of `learn-sway` leaves 3 mm more of 85 to simulated skirts."""
-SWAY_SECONDS, SIMULATING, LEAST_FOR_SWAY = 360.0, 240.0, 600.0
-"""[s] At most for sway, and of that for simulated walkers (on an H100 a cape takes 225 and 115, a poncho 310 and 200);
-and what the whole command must have for it."""
+"""A quarter of the walkers of `learn-sway` leaves 3 mm more of 85 to simulated dresses."""
+SIMULATING, LEARNING, LEAST_FOR_SWAY = 240.0, 120.0, 900.0
+"""[s] Kept for simulating walkers, and for learning from them (on an H100 a cape takes 115 and 110, a poncho's walkers
+200); and what the whole command must have for it."""
 WORTH = 0.9
 """A network must leave at most this share of the distance that simulated cloth is from cloth that does not swing, or it
 is not worth its time in every frame. Shipped ones leave 0.5 to 0.8."""
@@ -102,28 +104,32 @@ def started_from(recipe: TrainingConfig, start: Path) -> TrainingConfig:
     return replace(recipe, start=start, optimisation=replace(recipe.optimisation, validate_every=often, **GENTLE))
 
 
-def learns_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> bool:
-    """Whether a model gets a sway network: one that has none, on a GPU (a CPU would simulate walkers for hours)."""
-    return model.sway is None and device.type == "cuda" and budget.seconds >= LEAST_FOR_SWAY
+def learns_sway(config: TrainingConfig, model: GarmentModel, device: torch.device, *, seconds: float) -> bool:
+    """Whether a run ends with learning to sway: if it begins with no sway network, on a GPU (a CPU would simulate
+    walkers for half a day), in a command of so many seconds.
+
+    model: before training; some of its garment nodes must lie where cloth sways.
+    """
+    start = config.start and load_garment_model(config.start)
+    if (start and start.sway is not None) or device.type != "cuda" or seconds < LEAST_FOR_SWAY:
+        return False
+    return bool((sway_share(model) > 0).any())
 
 
-def seconds_for_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> float:
-    """[s] to keep for it."""
-    return SWAY_SECONDS if learns_sway(model, device, budget) else 0.0
+def with_own_sway(model: GarmentModel, device: torch.device, *, within: float) -> tuple[GarmentModel, str]:
+    """The model with a sway network, and in words how good that is; or as it is, and why it has none.
 
-
-def with_own_sway(model: GarmentModel, device: torch.device, budget: TimeBudget) -> tuple[GarmentModel, str]:
-    """The model with a sway network, and in words how good that is; or as it is, and why it has none."""
-    within = SIMULATING if math.isfinite(budget.seconds) else math.inf
+    within: [s] that simulating walkers may take.
+    """
     try:
         learnt = learn_sway(model, SWAY_PLAN, device, within=within, say=log.info)
-    except ValueError as error:
-        return model, f"It has no sway network: {error}."
+        swaying = replace(model, sway=rounded_sway(learnt.network, model.rig))
+    except (ValueError, RuntimeError) as error:  # of torch too: memory, matrices; the trained model must not be lost
+        return model, f"The garment has no sway network: {error}."
     figures = (
         f"cloth of simulated walkers that were held out is {learnt.missed:.0f} mm from it on average, and "
         f"{learnt.without:.0f} mm from cloth that does not swing"
     )
-    if learnt.missed > WORTH * learnt.without:
-        return model, f"It has no sway network, which would gain too little: {figures}."
-    sway = rounded_sway(learnt.network, model.rig)
-    return replace(model, sway=sway), f"Its own sway network was learnt: {figures}."
+    if learnt.missed <= WORTH * learnt.without:
+        return swaying, f"Its own sway network was learnt: {figures}."
+    return model, f"The garment has no sway network, as one would gain too little: {figures}."

@@ -135,16 +135,16 @@ def learn_sway(
     """A sway network for a model, which may have one already. walkers_file: simulated walkers are read from there, or
     written to it. within: [s] that simulating may take. say: told how it goes.
 
-    Raises ValueError for cloth that nowhere hangs low enough, for a rig that everyday poses are not of, and as
+    Raises ValueError for cloth that lies where none sways, for a rig that everyday poses are not of, and as
     `SwayPlan`, `simulated_walkers` and `load_walkers`.
     """
-    free = sway_share(model) > 0
-    if not free.any():
-        raise ValueError(f"{model.name} lies on chest, shoulders, arms and head, where cloth does not sway")
+    share = sway_share(model)
+    if not share.any():
+        raise ValueError(f"{model.name} lies on chest, shoulders and arms, where cloth does not sway")
     body_model = load_body_model()
     if plan.bodies > len(body_model.train_bodies):
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
-    joints = swaying_joints(model, free)
+    joints = swaying_joints(model, share > 0)
     codes = BodyCodes.of(model, body_model, device)
     described = _described(model, plan)
     if walkers_file is not None and walkers_file.exists():
@@ -152,7 +152,7 @@ def learn_sway(
         say(f"walkers of {walkers_file}: {len(walkers.body)}")
     else:
         walkers = simulated_walkers(
-            *(model, body_model, codes, device),
+            *(model, body_model, codes, share, device),
             bodies=plan.bodies,
             each=plan.walkers,
             rounds=plan.rounds,

@@ -18,7 +18,6 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.progress import Watch, progress_line
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.sway.body_codes import BodyCodes
-from physkin_training.sway.fading import sway_share
 from physkin_training.sway.motions import MotionPool, WalkerMotions
 from physkin_training.sway.shapes import Shapes, principal_shapes
 from physkin_training.sway.walker_simulation import WalkerSimulation
@@ -31,7 +30,7 @@ MOST_SHAPES = 160
 LEAST_VALID = 0.5
 """Share of the frames that must count."""
 TIMED_FROM = 0.03
-"""Share of the frames before which kernels are still being loaded; as many are timed then."""
+"""Share of the frames before which kernels are still being loaded; at least as many are timed then."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,7 @@ def simulated_walkers(
     model: GarmentModel,
     body_model: BodyModel,
     codes: BodyCodes,
+    share: np.ndarray,
     device: torch.device,
     *,
     bodies: int,
@@ -75,12 +75,11 @@ def simulated_walkers(
 ) -> Walkers:
     """Simulate `rounds` times `each` walkers on each of so many bodies of training, motions of so many seconds.
 
-    within: [s] that it may take. say: told how it went. Raises ValueError where most cloth was lost, none moves, or it
-    would take longer.
+    share: (m,), see `sway_share`. within: [s] that it may take. say: told how it went. Raises ValueError where most
+    cloth was lost, none moves, or it would take longer.
     """
     chosen = np.random.default_rng(seed).permutation(len(body_model.train_bodies))[:bodies]
     coefficients = body_model.train_bodies[chosen]
-    share = sway_share(model)
     simulation = WalkerSimulation(model, body_model, coefficients, each, device, free=share > 0)
     frames = round(seconds * RATE_HZ)
     pool, at_once = MotionPool(model.rig), bodies * each
@@ -94,7 +93,7 @@ def simulated_walkers(
     say(f"{len(valid)} walkers of {seconds:g} s simulated, {counted:.1%} of their frames count")
     if counted < LEAST_VALID:
         lost = f"{1 - counted:.0%} of the frames, allowed {1 - LEAST_VALID:.0%}"
-        raise ValueError(f"{model.name}: cloth was lost in {lost}; does it hold?")
+        raise ValueError(f"{model.name}: cloth was lost in {lost}")
     mass = float(simulation.potential.time_step.mass.mean(dim=0).sum())
     parts = (part[kept].float() for part, kept in zip(offsets.split(at_once), valid.split(at_once)))
     shapes, moved, missed = principal_shapes(parts, simulation.inertia, simulation.cost, MOST_SHAPES, mass)
@@ -120,16 +119,17 @@ def simulated_walkers(
 
 def _in_time(watch: Watch, within: float) -> Watch:
     """A watch that raises ValueError once it is sure that all takes longer [s] than it may."""
-    first: list[tuple[float, float]] = []
+    first: tuple[float, float] | None = None
 
     def checked(share: float) -> None:
+        nonlocal first
         watch(share)
         if share < TIMED_FROM or not math.isfinite(within):
             return
-        now = time.monotonic()
-        first.append((share, now))
-        timed, seconds = share - first[0][0], now - first[0][1]
+        first = first or (share, time.monotonic())
+        timed, seconds = share - first[0], time.monotonic() - first[1]
         if timed > TIMED_FROM and seconds > within * timed:
+            watch(1.0)
             needed = seconds / timed / 60
             raise ValueError(f"simulating walkers takes {needed:.1f} minutes here, and there are {within / 60:.1f}")
 

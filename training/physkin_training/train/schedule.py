@@ -20,7 +20,7 @@ INITIAL_CONTACT = 0.1
 """Share of the material's contact stiffness at the start of the run."""
 FINAL_RATE = 0.005
 """Share of the learning rates that is left at the end of the run."""
-LAST_PART = 0.6
+LAST_PART_FROM = 0.6
 """Share of the steps from which a run that has patience may end. One that is stuck before, as it is where few poses a
 step are much noise, goes on there, at learning rates that fall from a third."""
 AVERAGE_DECAY = 0.999
@@ -71,12 +71,12 @@ class Schedule:
 
 def last_part(config: TrainingConfig) -> int:
     """The step from which a run that has patience may end."""
-    return math.ceil(LAST_PART * config.optimisation.steps)
+    return math.ceil(LAST_PART_FROM * config.optimisation.steps)
 
 
 def is_stuck(step: int, best: BestModel | None, config: TrainingConfig) -> bool:
-    """Whether as many measurements as the configuration has patience for, in the last part of it alone, have brought
-    none better than the best."""
+    """Whether as many measurements as the configuration has patience for have brought none better than the best; once
+    the last part has begun, only those in it count."""
     optimisation, last = config.optimisation, last_part(config)
     waited = step - max(best.step if best else step, last if step >= last else 0)
     return bool(optimisation.patience) and waited >= optimisation.patience * optimisation.validate_every

@@ -61,10 +61,10 @@ class TrainingDiverged(RuntimeError):
 class Trainer:
     """A training run that can stop anywhere and go on exactly.
 
-    `step` counts finished steps; `drape` is the model in training, `averaged` its exponential moving average, `best`
-    the average with the lowest `validation_energy` [J] (the last one measured), both None until pose range and
-    influences are final, but for a run with a `start`, which is measured first. `started_from`: plain data on the run
-    this one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure.
+    `step` counts finished steps and those left out; `drape` is the model in training, `averaged` its exponential moving
+    average, `best` the average with the lowest `validation_energy` [J] (the last one measured), both None until pose
+    range and influences are final, but for a run with a `start`, which is measured first. `started_from`: plain data on
+    the run this one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure.
     `body_model`: whose training bodies it takes, default the shipped adults. Of several `processes` each makes a
     trainer and calls the same methods.
     """
@@ -158,7 +158,7 @@ class Trainer:
             self.processes.seed_samples(config.seed, 0)
 
     def run(self, steps: int) -> Iterator[int]:
-        """Do up to `steps` steps, yielding the count of finished ones after each."""
+        """Do up to `steps` steps, yielding `step` after each."""
         end = min(self.step + steps, self.config.optimisation.steps)
         if self.step == 0 and self.config.start:
             self._measure()
