@@ -68,7 +68,7 @@ SIMULATING, LEARNING, LEAST_FOR_SWAY = 240.0, 120.0, 900.0
 200); and what the whole command must have for it."""
 WORTH = 0.9
 """A network must leave at most this share of the distance that simulated cloth is from cloth that does not swing, or it
-is not worth its time in every frame. Shipped ones leave 0.5 to 0.8."""
+is not worth its time in every frame. Shipped ones leave about 0.5 to 0.8."""
 
 
 def default_recipe(name: str, mesh: Path, device: torch.device, *, seconds: float = math.inf) -> TrainingConfig:
