@@ -89,7 +89,7 @@ def test_from_mesh_to_report(band, recipe, tmp_path, capsys, no_pictures, monkey
         ">repaired</span>",
         "the model",
         "plain skinning",
-        "12 steps",
+        "to step 12 of 12",
         "<svg",
         sways,
     ):
@@ -124,7 +124,7 @@ def test_a_stopped_run_goes_on_and_is_reported(band, recipe, tmp_path, monkeypat
     assert steps == [1, 2, 3, 4, 5, 6, 7, *range(9, 13)], "the step of Ctrl-C is saved, not reported"
     found = json.loads((tmp_path / "band" / "figures.json").read_text())
     assert found["seconds"] > training_record.recorded_seconds(losses) > 0 and "model" in found["figures"]
-    assert "12 steps" in (tmp_path / "band.html").read_text()
+    assert "to step 12 of 12" in (tmp_path / "band.html").read_text()
 
 
 def test_lost_steps_count_once_in_the_curve_and_in_full_in_the_time(tmp_path):

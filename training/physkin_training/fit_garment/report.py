@@ -108,7 +108,8 @@ def write_report(
     parts = [
         f"<h1>{html.escape(model.name)}</h1>",
         f"<p>{len(model.garment.vertices)} vertices, {len(model.node_rest)} garment nodes; trained for "
-        f"{seconds / 60:.1f} minutes ({steps} steps of {samples} poses) on {html.escape(device.type)}.</p>",
+        f"{seconds / 60:.1f} minutes, to step {steps} of {optimisation['steps']} of {samples} poses each, on "
+        f"{html.escape(device.type)}.</p>",
         "<h2>In short</h2>",
         *([f"<p>{badge('undertrained', 'warning')} {html.escape(too_short)}</p>"] if too_short else []),
         _in_short(scores, model, rows, sway),
