@@ -184,7 +184,7 @@ def _swinging(rows: list[Played]) -> dict:
     clips = [row for row in rows if row.reference.motion.name not in (*ROOT_SCENES, *ACTED_SCENES)]
     if clips:
         by_clip = [_octaves(row) for row in clips]
-        for name in by_clip[0]:
+        for name in sorted(set.intersection(*map(set, by_clip))):
             found[name] = {kind: _mean([each[name][kind] for each in by_clip]) for kind in kinds[1:]}
     for name in sorted({row.reference.motion.name for row in rows}):
         of_scene = [row for row in rows if row.reference.motion.name == name]

@@ -91,8 +91,8 @@ def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBu
     if seconds <= 0:
         raise ValueError(
             f"{minutes} are too few: {budget.spent:.0f} s went by before training, and "
-            f"{budget.left - seconds:.0f} s are kept for sway, export and report: {ADVICE}, of --minutes about "
-            f"{math.ceil((budget.spent + FEWEST_SECONDS + after) / (1 - REST) / 60)}"
+            f"{budget.left - seconds:.0f} s are kept for {'sway, ' if after else ''}export and report: {ADVICE}, of "
+            f"--minutes about {math.ceil((budget.spent + FEWEST_SECONDS + after) / (1 - REST) / 60)}"
         )
     try:
         rate = trainer.choose_steps(seconds)

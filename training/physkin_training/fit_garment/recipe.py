@@ -110,10 +110,9 @@ def learns_sway(config: TrainingConfig, model: GarmentModel, device: torch.devic
 
     model: before training; some of its garment nodes must lie where cloth sways.
     """
-    start = config.start and load_garment_model(config.start)
-    if (start and start.sway is not None) or device.type != "cuda" or seconds < LEAST_FOR_SWAY:
+    if device.type != "cuda" or seconds < LEAST_FOR_SWAY or not sway_share(model).any():
         return False
-    return bool((sway_share(model) > 0).any())
+    return config.start is None or load_garment_model(config.start).sway is None
 
 
 def with_own_sway(model: GarmentModel, device: torch.device, *, within: float) -> tuple[GarmentModel, str]:
