@@ -61,10 +61,11 @@ class TrainingDiverged(RuntimeError):
 class Trainer:
     """A training run that can stop anywhere and go on exactly.
 
-    `step` counts finished steps and those left out; `drape` is the model in training, `averaged` its exponential moving
-    average, `best` the average with the lowest `validation_energy` [J] (the last one measured), both None until pose
-    range and influences are final, but for a run with a `start`, which is measured first. `started_from`: plain data on
-    the run this one took its networks from, or None. `made` (S,): which bodies of a step are worn made to measure.
+    `step` counts finished steps and those left out, `skipped` the latter; `drape` is the model in training, `averaged`
+    its exponential moving average, `best` the average with the lowest `validation_energy` [J] (the last one measured),
+    both None until pose range and influences are final, but for a run with a `start`, which is measured first.
+    `started_from`: plain data on the run this one took its networks from, or None. `made` (S,): which bodies of a step
+    are worn made to measure.
     `body_model`: whose training bodies it takes, default the shipped adults. Of several `processes` each makes a
     trainer and calls the same methods.
     """
@@ -81,7 +82,7 @@ class Trainer:
         self.config = config
         self.device = device
         self.processes = processes or Processes()
-        self.step = 0
+        self.step = self.skipped = 0
         self.best: BestModel | None = None
         self.validation_energy: float | None = None
         self.started_from: dict | None = None
@@ -212,6 +213,7 @@ class Trainer:
     def skip_to(self, step: int) -> None:
         """Leave out the steps before `step`, as a run has become slower than when they were chosen, or is stuck."""
         self._summed_from += step - self.step
+        self.skipped += step - self.step
         self.step = step
 
     def best_drape(self) -> Drape:
