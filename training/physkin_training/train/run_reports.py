@@ -89,7 +89,7 @@ class RunReports:
     def _log(self, row: dict) -> None:
         optimisation = self._trainer.config.optimisation
         terms = "  ".join(f"{term} {row[term]:.4f}" for term in TERMS)
-        done = max(1, row["step"] - self._first_step - self._trainer.skipped)
+        done = row["step"] - self._first_step - self._trainer.skipped
         rate = done * optimisation.samples / row["seconds"]
         left = (optimisation.steps - row["step"]) * row["seconds"] / done / 60
         log.info(

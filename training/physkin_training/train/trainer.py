@@ -212,7 +212,6 @@ class Trainer:
 
     def skip_to(self, step: int) -> None:
         """Leave out the steps before `step`, as a run has become slower than when they were chosen, or is stuck."""
-        self._summed_from += step - self.step
         self.skipped += step - self.step
         self.step = step
 
@@ -234,9 +233,10 @@ class Trainer:
         Raises TrainingDiverged when they are not finite.
         """
         sums = self._finite_sums()
-        steps = max(1, self.step - self._summed_from)
+        taken = self.step - self.skipped
+        steps = max(1, taken - self._summed_from)
         self._energy_sum.zero_()
-        self._summed_from = self.step
+        self._summed_from = taken
         return {term: energy / steps for term, energy in zip(TERMS, sums)}
 
     def median_energy(self) -> float:
