@@ -18,7 +18,7 @@ constexpr float kAside = 0.01f;
 // [m] Sway that costs a sample less than this is not worth taking away for what it lacks.
 constexpr float kWorthwhile = 0.002f;
 // A garment node that carries this much of a sample sways as little as the sample needs.
-constexpr float kCarries = 0.1f;
+constexpr float kCarries = 0.3f;
 // [m] A sample that a shin has passed by less is led back over it, all the way where the normal is so much against it.
 constexpr float kReach = 0.05f, kAgainst = 0.5f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.

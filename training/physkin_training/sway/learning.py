@@ -22,8 +22,8 @@ from physkin_training.sway.windows import STRIDES, Window, Windows
 
 __all__ = ["drawn_from", "held_out_millimetres", "learnt_network", "learning_rate", "missed_swing", "split"]
 
-BATCH, KEPT = 256, 60
-"""Windows of a step, and frames of each that have a target: 4 seconds."""
+BATCH = 256
+"""Windows of a step."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 3e-3, 0.01, 100
 SWINGING, SWING = 16, 1.0
 """Of how many shapes it is asked how far they swing, and how much that counts."""
@@ -49,7 +49,7 @@ def learning_rate(step: int, steps: int, *, warm_up: int, last: float) -> float:
 
 @contextmanager
 def drawn_from(generator: torch.Generator, device: torch.device) -> Iterator[None]:
-    """What torch draws by itself, such as first weights and dropped units, follows from the generator, too."""
+    """What torch draws by itself, such as first weights and blur, follows from the generator, too."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
         yield
@@ -66,16 +66,17 @@ def learnt_network(
 ) -> SwayModule:
     """A network from `joints` joints to coefficients of the walkers' shapes, after so many steps with windows of the
     walkers `learnt`."""
-    windows = Windows(walkers, features, generator, kept=KEPT)
+    windows = Windows(walkers, features)
     device = walkers.positions.device
     with drawn_from(generator, device):
         network = SwayModule(joints, walkers.codes.shape[1], walkers.coefficients.shape[2]).to(device)
         optimiser = Soap(network.parameters(), [], device)
 
         def loss(window: Window) -> torch.Tensor:
-            coefficients = network.out(window.hidden(network))
-            missed = window.mean((coefficients - window.coefficients).square().sum(dim=-1))
-            return missed + SWING * missed_swing(window, coefficients).square().sum(dim=-1).mean()
+            coefficients = network.out(window.blurred().hidden(network))
+            errors, evenly = (coefficients - window.coefficients).square().sum(dim=-1), window.evenly()
+            swing_errors = missed_swing(window, coefficients).square().sum(dim=-1)
+            return window.mean(evenly[:, None] * errors) + SWING * (evenly * swing_errors).mean()
 
         descent = WindowDescent(windows, optimiser, loss, windows_a_step=BATCH)
         watch = progress_line("learning")
@@ -83,7 +84,7 @@ def learnt_network(
             rate = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
             descent.step(learnt[torch.randint(len(learnt), (BATCH,), generator=generator)], rate)
             watch((step + 1) / steps)
-    return network.eval()
+    return network
 
 
 def missed_swing(window: Window, coefficients: torch.Tensor) -> torch.Tensor:
@@ -101,10 +102,10 @@ def held_out_millimetres(
 ) -> float:
     """How far cloth of held-out walkers is from what was simulated [mm], at all frame rates. coefficients: of shapes
     (..., r), of what the network's last layer reads."""
-    windows, errors = Windows(walkers, features, torch.Generator().manual_seed(0), kept=KEPT), []
+    windows, errors = Windows(walkers, features), []
     with torch.no_grad():
         for stride in STRIDES:
-            window = windows.at(windows.drawn(held_out).to(walkers.positions.device), stride=stride)
+            window = windows.at(held_out.to(walkers.positions.device), stride=stride)
             differences = coefficients(window.hidden(network)) - window.coefficients
             errors.append(window.mean(walkers.shapes.millimetres(differences)))
     return float(torch.stack(errors).mean().sqrt())

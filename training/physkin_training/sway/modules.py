@@ -27,17 +27,14 @@ MOST_SPEED_UP: float = native.constants["most_speed_up"]
 """As in C++, which says what they are."""
 
 HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
-SLOWEST, FASTEST = 3.2, 12.0
+SLOWEST, FASTEST = 2.0, 12.0
 """[1/s] by which oscillators decay at first."""
-LEAST_RATE, MOST_RATE = 2.2, 50.0
+LEAST_RATE, MOST_RATE = 1.4, 50.0
 """[1/s] between which learning leaves them, gates included; slower ones still move cloth seconds after a stop."""
 GATE = -1.0
 """Bias of gates at first: they let oscillators run slower than they could, but not at their slowest."""
 LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
-DROPPED = 0.1
-"""Share of the hidden units, and of the oscillators' states, that each window does without while the network trains:
-there are few walkers, and it would learn them by heart."""
 
 
 def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
@@ -80,7 +77,7 @@ class Features:
 
 
 class SwayModule(nn.Module):
-    """joints, code: how many numbers these are; outputs: of the last layer. In training mode units are dropped."""
+    """joints, code: how many numbers these are; outputs: of the last layer."""
 
     def __init__(self, joints: int, code: int, outputs: int) -> None:
         super().__init__()
@@ -116,14 +113,10 @@ class SwayModule(nn.Module):
     ) -> torch.Tensor:
         """What the last layer reads, of every so many frames from the first on."""
         silu, body = nn.functional.silu, code[:, None]
-        driven = self._dropped(silu(self.first(drive) + self.first_code(body)))
-        states = self._dropped(self._oscillate(self.drive(driven), self.gate(driven), step))
+        driven = silu(self.first(drive) + self.first_code(body))
+        states = self._oscillate(self.drive(driven), self.gate(driven), step)
         read = torch.cat([states, pose, drive], dim=-1)[:, ::every]
-        return self._dropped(silu(self.last(self._dropped(silu(self.read(read) + self.read_code(body))))))
-
-    def _dropped(self, units: torch.Tensor) -> torch.Tensor:
-        """Units (B, T, u), in training mode without some, the same ones in all frames of a window."""
-        return nn.functional.dropout1d(units.mT, DROPPED, self.training).mT
+        return silu(self.last(silu(self.read(read) + self.read_code(body))))
 
     def _oscillate(self, drive: torch.Tensor, gate: torch.Tensor, step: float) -> torch.Tensor:
         """States (B, T, 2 K), real parts and then imaginary ones; they begin at rest."""

@@ -1,8 +1,8 @@
 """Motions of walkers that cloth is simulated on, each drawn by its own seed, at 60 Hz.
 
-Two fifths are shipped clips at changing speed, with other bearing, along curves; a fifth smooth ways through everyday
-poses; some sit down and get up again; the others hold a pose while the root swings, stops or turns. In a third the wind
-blows, in gusts. Half of all are mirrored.
+A third are shipped clips, with other bearing, along curves; a fifth smooth ways through everyday poses; some sit down
+and get up again; the others hold a pose, many of them just stand, while the root swings, stops or turns. Most are at
+changing speed. In a third the wind blows, in gusts. Half of all are mirrored.
 
 Dimensions: `B` walkers, `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
 """
@@ -30,8 +30,12 @@ __all__ = ["MotionPool", "WalkerMotions", "mirrored_motion"]
 CLIPS = {"walk": 3.0, "run": 2.0, "dance": 2.0, "jump": 1.5, "kick": 1.5, "crawl": 0.7, "cartwheel": 0.7}
 """Shipped clips, and how often each is drawn."""
 LOOPED_SECONDS = 12.0
-FROM_CLIPS, THROUGH_POSES, SITTING = 0.4, 0.22, 0.08
+FROM_CLIPS, THROUGH_POSES, SITTING = 0.34, 0.19, 0.07
 """Shares of the motions; the others hold a pose."""
+AT_REST, NEARLY = 0.5, 0.2
+"""Shares of held poses that are the rest pose, and that are near it: there a skirt swings free of what legs do."""
+STEADY = 0.4
+"""Share of the motions at an even speed, so that a swing to and fro lasts."""
 LOWEST_SEAT, HIGHEST_SEAT = 0.42, 0.28
 """[m] by how much hips are lower on a seat."""
 POSES = 8192
@@ -152,7 +156,9 @@ class MotionPool:
         return positions, heading.apply(root), turn
 
     def _held_pose(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        pose = self.rig.rest if rng.random() < 0.5 else self._poses[rng.integers(len(self._poses))]
+        kind, other = rng.random(), self._poses[rng.integers(len(self._poses))]
+        away = 0.0 if kind < AT_REST else rng.uniform(0, 1) ** 3 if kind < AT_REST + NEARLY else 1.0
+        pose = self.rig.rest + away * (other - self.rig.rest)
         heading = rng.uniform(0, 2 * math.pi)
         ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
         times = np.arange(len(own_time)) / RATE_HZ
@@ -202,8 +208,11 @@ def _gaps(own_time: np.ndarray, shortest: float) -> int:
 
 
 def _own_time(rng: np.random.Generator, frames: int) -> np.ndarray:
-    """(T,) [s] of the motion: faster or slower, now and then it stands, and half of them begin from standing."""
+    """(T,) [s] of the motion: as it is, or faster or slower, now and then it stands, and half of these begin from
+    standing."""
     times = np.arange(frames) / RATE_HZ
+    if rng.random() < STEADY:
+        return times
     speed = np.full(frames, rng.uniform(0.6, 1.3))
     begin = rng.uniform(0.5, 2.5)
     while begin < times[-1]:

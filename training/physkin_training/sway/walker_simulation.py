@@ -33,8 +33,8 @@ __all__ = ["SLOWLY", "WalkerSimulation", "in_one_size", "potential_of_walkers"]
 ONE_SIZE = 3
 """Every third body wears the template, the others what is made to measure."""
 SOFTER_CONTACT = 0.1
-COMPRESSED = 0.02
-"""Share of the stiffness of cloth that is left under compression."""
+COMPRESSED = 0.005
+"""Share of the stiffness of cloth that is left under compression, of walkers."""
 NEWTON, PRODUCTS = 8, 14
 FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
 """Of the drape at rest that a motion begins with: so many steps of so many seconds, each from standing still."""
@@ -57,10 +57,11 @@ def in_one_size(bodies: int) -> np.ndarray:
     return np.arange(bodies) % ONE_SIZE == 1
 
 
-def potential_of_walkers(dressed: DressedSamples) -> IncrementalPotential:
-    """Of a frame. What cloth loses inside itself is left out, as it would hold what yields."""
+def potential_of_walkers(dressed: DressedSamples, *, compressed: float) -> IncrementalPotential:
+    """Of a frame, of cloth that keeps this share of its stiffness under compression. What it loses inside itself is
+    left out, as that would hold what yields."""
     potential = dressed.potential(1 / RATE_HZ, Dynamics(relaxation=0.0))
-    potential.stretch.compressed = COMPRESSED
+    potential.stretch.compressed = compressed
     return potential
 
 
@@ -110,7 +111,7 @@ class WalkerSimulation:
     ) -> None:
         body = torch.arange(len(bodies) * each, device=device) // each
         self.dressed = DressedSamples(model, body_model, bodies, body, one_size=in_one_size(len(bodies)))
-        self.potential = potential_of_walkers(self.dressed)
+        self.potential = potential_of_walkers(self.dressed, compressed=COMPRESSED)
         self.potential.collision.stiffness *= SOFTER_CONTACT
         self.skinning = NodeSkinning(self.dressed)
         self.free = torch.as_tensor(free, device=device)

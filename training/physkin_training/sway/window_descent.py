@@ -26,7 +26,7 @@ class WindowDescent:
     ) -> None:
         self._windows, self._optimiser, self._loss = windows, optimiser, loss
         device = optimiser.steps.device
-        self._drawn = torch.zeros(2, windows_a_step, dtype=torch.int64, device=device)
+        self._walkers = torch.zeros(windows_a_step, dtype=torch.int64, device=device)
         self._steps = [
             RecordedStep(partial(self._descend, stride), device, clear=optimiser.zero_grad, in_company=False)
             for stride in STRIDES
@@ -34,15 +34,15 @@ class WindowDescent:
         self._done = 0
 
     def step(self, walkers: torch.Tensor, learning_rate: float) -> None:
-        """With a window of each of these walkers (B,)."""
+        """With the windows of these walkers (B,)."""
         for group in self._optimiser.param_groups:
             group["lr"].fill_(learning_rate)
-        self._drawn.copy_(self._windows.drawn(walkers))
+        self._walkers.copy_(walkers)
         self._steps[self._done % len(STRIDES)]()
         self._done += 1
         self._optimiser.turn_bases(self._done)
 
     def _descend(self, stride: int) -> None:
         self._optimiser.zero_grad()
-        self._loss(self._windows.at(self._drawn, stride=stride)).backward()
+        self._loss(self._windows.at(self._walkers, stride=stride)).backward()
         self._optimiser.step()

@@ -1,13 +1,15 @@
-"""Windows of motion that a sway network learns from: 60, 30 or 15 frames a second, every target 15.
+"""Windows of motion that a sway network learns from: whole motions of walkers, 60, 30 or 15 frames a second, every
+target 15.
 
-Dimensions: `B` windows, `T` frames of a window, `t` of them kept, `r` shapes.
+Dimensions: `B` windows, `T` frames of a window, `t` of them with a target, `r` shapes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
+from torch import nn
 
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.sway.modules import Features, SwayModule
@@ -17,17 +19,17 @@ __all__ = ["STRIDES", "Window", "Windows"]
 
 STRIDES = (1, 2, 4)
 """Frames of 60 a second from one that the network sees to the next."""
-WARM_UP = 1 / 5
-"""Share of a window in which states forget that they began at rest: it does not count, where the motion had begun
-before."""
-FROM_THE_START = 0.1
-"""Share of the windows that begin where the motion does."""
+OTHER_BODY, OTHER_JOINTS = 0.5, 0.15
+"""How far a blurred window is seen from another body, in standard deviations of its code, and from another pose, in
+halves of each joint's range."""
+STILL = 0.2
+"""Cloth that moves less than this share of the mean square counts no more."""
 
 
 @dataclass(frozen=True)
 class Window:
     """Drive (B, T, f) and pose (B, T, p), frames of `step` [s], codes (B, c); every `every`-th frame has coefficients
-    (B, t, r), which count as much as `share` (B, t) says. walker (B,), and its `last` frame (B,)."""
+    (B, t, r), and counts or not, `share` (B, t). walker (B,)."""
 
     drive: torch.Tensor
     pose: torch.Tensor
@@ -37,57 +39,65 @@ class Window:
     coefficients: torch.Tensor
     share: torch.Tensor
     walker: torch.Tensor
-    last: torch.Tensor
 
     def hidden(self, network: SwayModule) -> torch.Tensor:
         """What the network's last layer reads, (B, t, h)."""
         return network.hidden(self.drive, self.pose, self.code, self.step, every=self.every)
 
+    def blurred(self, *, sharp: torch.Tensor | None = None) -> Window:
+        """As if other bodies in other poses had moved so, the same ones throughout each window: there are few walkers,
+        and a network that tells them apart learns them by heart. sharp: (B,) bool, windows that stay as they are."""
+        joints = self.pose.shape[2] - 3
+        share = torch.ones_like(self.code[:, :1]) if sharp is None else (~sharp[:, None]).float()
+        away = OTHER_JOINTS * share[:, None] * torch.randn_like(self.pose[:, :1, :joints])
+
+        def moved(numbers: torch.Tensor) -> torch.Tensor:
+            return numbers + nn.functional.pad(away, (0, numbers.shape[2] - joints))
+
+        code = self.code + OTHER_BODY * share * torch.randn_like(self.code)
+        return replace(self, drive=moved(self.drive), pose=moved(self.pose), code=code)
+
     def swing(self, coefficients: torch.Tensor) -> torch.Tensor:
         """How far coefficients (B, t, r) go to and fro in the frames that count: their standard deviation (B, r)."""
-        share = self.share[..., None] / self.share.sum(dim=1).clamp_min(1)[:, None, None]
-        mean = (share * coefficients).sum(dim=1, keepdim=True)
-        return ((share * (coefficients - mean) ** 2).sum(dim=1) + 1).sqrt()
+        return (self._variance(coefficients) + 1).sqrt()
 
     def mean(self, errors: torch.Tensor) -> torch.Tensor:
         """Of errors (B, t), those that count."""
         return (errors * self.share).sum() / self.share.sum().clamp_min(1)
 
+    def evenly(self) -> torch.Tensor:
+        """How much errors of each window count (B,), 1 on average: the less its cloth moves, the more, so that a gentle
+        swing is learnt as well as a leap."""
+        moved = self._variance(self.coefficients).sum(dim=1)
+        weights = 1 / (moved + STILL * moved.mean()).clamp_min(1e-12)
+        return weights / weights.mean()
+
+    def _variance(self, coefficients: torch.Tensor) -> torch.Tensor:
+        share = self.share[..., None] / self.share.sum(dim=1).clamp_min(1)[:, None, None]
+        mean = (share * coefficients).sum(dim=1, keepdim=True)
+        return (share * (coefficients - mean) ** 2).sum(dim=1)
+
 
 class Windows:
-    """Draws windows of walkers, all of so many kept frames, or all that there are. generator: of the CPU."""
+    """The motions of walkers as windows."""
 
-    def __init__(self, walkers: Walkers, features: Features, generator: torch.Generator, *, kept: int) -> None:
-        self._walkers, self._features, self._generator = walkers, features, generator
-        self._kept = min(kept, walkers.valid.shape[1])
-        self._span = KEPT_EVERY * (self._kept - 1)
+    def __init__(self, walkers: Walkers, features: Features) -> None:
+        self._walkers, self._seen = walkers, {}
+        motion = (walkers.positions, walkers.place, walkers.turn, walkers.gravity)
+        for stride in STRIDES:
+            last = (walkers.positions.shape[1] - 1) // KEPT_EVERY * KEPT_EVERY
+            frames = slice(0, last + 1, stride)
+            self._seen[stride] = features(*(part[:, frames] for part in motion), stride / RATE_HZ)
 
-    def drawn(self, walker: torch.Tensor) -> torch.Tensor:
-        """Walkers (B,) and the frames that their windows begin with, as one (2, B) of the CPU."""
-        count = len(walker)
-        starts = (self._walkers.positions.shape[1] - 1 - self._span) // KEPT_EVERY + 1
-        start = torch.randint(starts, (count,), generator=self._generator) * KEPT_EVERY
-        return torch.stack([walker, start * (torch.rand(count, generator=self._generator) >= FROM_THE_START)])
-
-    def at(self, drawn: torch.Tensor, *, stride: int) -> Window:
-        """The windows that were drawn, (2, B) on the walkers' device. Nothing of this waits for the device.
+    def at(self, walker: torch.Tensor, *, stride: int) -> Window:
+        """Windows of walkers (B,), on their device. Nothing of this waits for the device.
 
         stride: frames of 60 a second from one that the network sees to the next.
         """
-        known, kept, (walker, start) = self._walkers, self._kept, drawn
-        frames = start[:, None] + torch.arange(0, self._span + 1, stride, device=drawn.device)
-        row = walker[:, None]
-        step = stride / RATE_HZ
-        motion = (known.positions, known.place, known.turn, known.gravity)
-        drive, pose = self._features(*(part[row, frames] for part in motion), step)
-        every = KEPT_EVERY // stride
-        targets = frames[:, ::every] // KEPT_EVERY
-        share = known.valid[row, targets].float()
-        share[:, : int(WARM_UP * kept)] *= (start == 0).float()[:, None]
+        known, (drive, pose) = self._walkers, self._seen[stride]
         return Window(
-            *(drive, pose, known.codes[known.body[walker]], step, every),
-            coefficients=known.coefficients[row, targets].float(),
-            share=share,
+            *(drive[walker], pose[walker], known.codes[known.body[walker]], stride / RATE_HZ, KEPT_EVERY // stride),
+            coefficients=known.coefficients[walker].float(),
+            share=known.valid[walker].float(),
             walker=walker,
-            last=frames[:, -1],
         )
