@@ -17,8 +17,9 @@ constexpr float kTooDeep = 0.15f, kFade = 0.05f;
 constexpr float kAside = 0.01f;
 // [m] Sway that costs a sample less than this is not worth taking away for what it lacks.
 constexpr float kWorthwhile = 0.002f;
-// A garment node that carries this much of a sample sways as little as the sample needs.
-constexpr float kCarries = 0.3f;
+// A garment node that carries this much of a sample sways as little as the sample needs: where it would lack something,
+// and where sway leads it through a leg. Less is enough there, as what is left lacks something then.
+constexpr float kCarries = 0.1f, kCarriesThrough = 0.3f;
 // [m] A sample that a shin has passed by less is led back over it, all the way where the normal is so much against it.
 constexpr float kReach = 0.05f, kAgainst = 0.5f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.
@@ -218,7 +219,7 @@ bool SkinGuard::hold_back(const GarmentNodes& nodes, const float* bone_transform
   bool crosses = false;
   for (int s = 0; s < samples_; ++s) {
     if (!(crossed_[s] > 0)) continue;
-    still(s, shares_[s] * crossed_[s]);
+    still(s, shares_[s] * crossed_[s], kCarriesThrough);
     crosses = true;
   }
   if (!crosses) return false;
@@ -229,10 +230,10 @@ bool SkinGuard::hold_back(const GarmentNodes& nodes, const float* bone_transform
   return true;
 }
 
-void SkinGuard::still(int sample, float share) noexcept {
+void SkinGuard::still(int sample, float share, float carries) noexcept {
   for (int k = influences_ * sample; k < influences_ * (sample + 1); ++k) {
     float& stilled = stilled_[influence_nodes_[k]];
-    stilled = std::max(stilled, share * std::min(influence_weights_[k] / kCarries, 1.0f));
+    stilled = std::max(stilled, share * std::min(influence_weights_[k] / carries, 1.0f));
   }
 }
 
@@ -250,7 +251,8 @@ void SkinGuard::sway_less(float* node_transforms) noexcept {
   for (int at = 0; at < lack_count_; ++at) {
     Lack& lack = lacks_[at];
     lack.cost = std::max(-dot(lack.normal, swayed(lack.sample)), 0.0f);
-    still(lack.sample, std::min(lack.length * lack.cost / (lack.cost * lack.cost + kWorthwhile * kWorthwhile), 1.0f));
+    const float needed = lack.length * lack.cost / (lack.cost * lack.cost + kWorthwhile * kWorthwhile);
+    still(lack.sample, std::min(needed, 1.0f), kCarries);
   }
   take_away(node_transforms);
   for (int at = 0; at < lack_count_; ++at) {

@@ -81,7 +81,7 @@ class SkinGuard {
   // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
   void sway_less(float* node_transforms) noexcept;
   // A share of sway that is to go, of the garment nodes of a sample, and all of these.
-  void still(int sample, float share) noexcept;
+  void still(int sample, float share, float carries) noexcept;
   void take_away(float* node_transforms) noexcept;
   // What sway has moved a sample by [m], from sway_ of its garment nodes.
   Vector3 swayed(int sample) const noexcept;

@@ -16,7 +16,7 @@ from physkin_core.separation.trunk_shape import TrunkShape
 from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
-WORTHWHILE, CARRIES, REACH, AGAINST = 0.002, 0.3, 0.05, 0.5
+WORTHWHILE, CARRIES, CARRIES_THROUGH, REACH, AGAINST = 0.002, 0.1, 0.3, 0.05, 0.5
 MIDDLE, LEAST, DIRECTIONS = 0.6, 1e-9, 32
 
 
@@ -32,7 +32,7 @@ def kept_out(bound, bones, nodes, sway, features=()):
     np.add.at(weights, (np.arange(samples)[:, None], bound.guard_influence_nodes), bound.guard_influence_weights)
     if sway.any():
         start, end = (skin(sampled, each, features)[0] for each in (nodes - sway, nodes))
-        gone = _share_to_go(weights, _crossed(bound, bones, start, end))
+        gone = _share_to_go(weights, _crossed(bound, bones, start, end), CARRIES_THROUGH)
         nodes, sway = nodes - gone[:, None, None] * sway, (1 - gone)[:, None, None] * sway
     for k in range(PASSES):
         lacks = list(_lacks(bound, bones, skin(sampled, nodes, features)[0]))
@@ -40,7 +40,7 @@ def kept_out(bound, bones, nodes, sway, features=()):
             swayed, _ = skin(sampled, sway, features)
             costs = [np.maximum(-(swayed * normal).sum(axis=1), 0) for _, normal in lacks]
             needed = [np.minimum(lack * cost / (cost**2 + WORTHWHILE**2), 1) for (lack, _), cost in zip(lacks, costs)]
-            gone = _share_to_go(weights, np.max(needed, axis=0))
+            gone = _share_to_go(weights, np.max(needed, axis=0), CARRIES)
             nodes -= gone[:, None, None] * sway
             gained = [(weights @ gone) * cost for cost in costs]
             lacks = [(np.maximum(lack - gain, 0), normal) for (lack, normal), gain in zip(lacks, gained)]
@@ -54,9 +54,9 @@ def kept_out(bound, bones, nodes, sway, features=()):
     return nodes, np.linalg.norm(by, axis=1)
 
 
-def _share_to_go(weights, needed):
+def _share_to_go(weights, needed, carries):
     """Of each garment node's sway, (m,), where samples need such shares (s,) gone."""
-    return (needed[:, None] * np.minimum(weights / CARRIES, 1)).max(axis=0)
+    return (needed[:, None] * np.minimum(weights / carries, 1)).max(axis=0)
 
 
 def _crossed(bound, bones, start, end):

@@ -108,10 +108,28 @@ def test_a_step_lowers_the_potential(simulation):
             return sum(energies.values())
 
         before = potential(vertices)
-        nodes, there = simulation._solver.minimise([now.drape], now.node_turns, now.gravity, newton=2, products=6)
+        nodes, there = simulation._solver.minimise(
+            *([now.drape], now.drape, now.node_turns, now.gravity), newton=2, products=6
+        )
         assert (potential(there) < before).all()
         torch.testing.assert_close(simulation.skinning.vertices(nodes), there, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(nodes[:, ~simulation.free], now.drape[:, ~simulation.free])
+
+
+def test_the_tether_is_a_spring_to_the_drape(simulation):
+    still = motions(0.0, 1)
+    with torch.no_grad():
+        now = stance_of(simulation, still)
+        at = simulation.skinning.vertices(now.drape)
+        simulation.potential.begin(at, at)
+        solver = simulation._solver
+        solver.minimise(*([now.drape], now.drape, now.node_turns, now.gravity), newton=1, products=1)
+        off = torch.randn_like(now.drape) * simulation.free[:, None, None]
+        here, there = solver.point(now.drape), solver.point(now.drape + now.node_turns @ off)
+        assert here.terms["tether"].abs().max() == 0
+        expected = (solver.tether * off.flatten(1).square()).sum(dim=1) / 2
+    torch.testing.assert_close(there.terms["tether"].float(), expected, rtol=1e-3, atol=0)
+    assert (solver.tether[simulation.free.repeat_interleave(12)] > 0).all()
 
 
 def test_cloth_rests_and_lags_behind_a_root_that_hurries(simulation, monkeypatch):

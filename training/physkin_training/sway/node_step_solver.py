@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.physics.energy_hessian import EnergyHessian
-from physkin_training.physics.newton_solver import NewtonSolver, Point, of_samples
+from physkin_training.physics.newton_solver import NewtonSolver, Point, inner, of_samples
 from physkin_training.sway.node_skinning import NodeSkinning
 
 __all__ = ["Metric", "NodeStepSolver"]
@@ -54,10 +54,12 @@ class NodeStepSolver(NewtonSolver):
     """Minimises an incremental potential over garment nodes; gradients and steps are of changes in their own posed
     frames. free: (m,) bool, those that move.
 
-    `metric` is to be set, from `mean_stiffness`, before the first step.
+    `metric` is to be set, from `mean_stiffness`, before the first step, and `tether` (12 m,) [J], by which changes of
+    garment nodes are drawn back to the drape: some of them move no cloth, and would drift on and on.
     """
 
     metric: Metric
+    tether: torch.Tensor
     asks = False
     hessian_every = 2
 
@@ -66,11 +68,13 @@ class NodeStepSolver(NewtonSolver):
     ) -> None:
         potential.band.isotropic = True
         super().__init__(EnergyHessian(potential), free[:, None, None])
+        self.tether = torch.zeros(12 * len(free), device=free.device)
         self.samples, self.skinning = samples, skinning
 
     def minimise(
         self,
         starts: Sequence[torch.Tensor],
+        drape: torch.Tensor,
         turns: torch.Tensor,
         gravity: torch.Tensor,
         *,
@@ -80,11 +84,11 @@ class NodeStepSolver(NewtonSolver):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Garment nodes (B, m, 3, 4) and vertices (B, n, 3), from the best of `starts` on the bodies posed last.
 
-        turns: (B, m, 3, 3) of the posed garment nodes. gravity: (B, 3). newton: steps; products: in each of them.
-        damping: the first one.
+        drape: (B, m, 3, 4), to which the tether draws. turns: (B, m, 3, 3) of the posed garment nodes. gravity: (B, 3).
+        newton: steps; products: in each of them. damping: the first one.
         """
         self.begin(gravity, *self.samples.contact)
-        self._turns, self._products = turns, products
+        self._drape, self._turns, self._products = drape, turns, products
         here = self.point(starts[0])
         for start in starts[1:]:
             other = self.point(start)
@@ -97,7 +101,7 @@ class NodeStepSolver(NewtonSolver):
         """Second derivative (12 m, 12 m) at garment nodes (B, m, 3, 4), the mean over bodies; the samples of a body
         must be alike."""
         self.begin(gravity, *self.samples.contact)
-        self._turns = turns
+        self._drape, self._turns = nodes, turns
         self.point(nodes)
         self.assemble()
         return self._mean(self._times)
@@ -125,6 +129,13 @@ class NodeStepSolver(NewtonSolver):
         matrix = (matrix + matrix.mT) / 2
         return matrix * numbers * numbers[:, None]
 
+    def point(self, variables: torch.Tensor) -> Point:
+        here, away = super().point(variables), self._turns.mT @ (variables - self._drape)
+        pull = self._drawn_back(away)
+        terms = here.terms | {"tether": inner(away, pull) / 2}
+        self._last = replace(here, gradient=here.gradient + pull, terms=terms)
+        return self._last
+
     def vertices(self, variables: torch.Tensor) -> torch.Tensor:
         return self.skinning.vertices(variables)
 
@@ -141,10 +152,13 @@ class NodeStepSolver(NewtonSolver):
 
     def multiply(self, direction: torch.Tensor, product: torch.Tensor) -> None:
         damped = of_samples(self._damping, direction) * _through(self.metric.matrix, direction)
-        product.copy_(self._times(direction) * self.free + damped)
+        product.copy_(self._times(direction) * self.free + self._drawn_back(direction) + damped)
 
     def precondition(self, residual: torch.Tensor) -> torch.Tensor:
         return _through(self.metric.inverse, residual)
+
+    def _drawn_back(self, q: torch.Tensor) -> torch.Tensor:
+        return (self.tether * q.flatten(1)).view_as(q) * self.free
 
     def _times(self, q: torch.Tensor) -> torch.Tensor:
         """Second derivative times q."""

@@ -48,6 +48,9 @@ DEEP, MOST_DEEP = 0.02, 0.002
 that they are worn on: a limb goes through it."""
 LOST_FOR = 30
 """Frames that do not count after cloth was lost."""
+TETHER = (2 * np.pi * 0.5) ** 2
+"""[1/s2] by which each garment node is drawn back to the drape, over its own inertia: cloth hardly feels it, as nodes
+move it together, but what they do that moves none would drift away."""
 SLOWLY = (2 * np.pi * 1.4) ** 2
 """[1/s2] inertia of cloth that swings 1.4 times a second, over its mass."""
 
@@ -136,6 +139,7 @@ class WalkerSimulation:
         time_step.seconds = step
         self._solver.metric = Metric.regular(moving, self.free)
         self.inertia = self._solver.mean_inertia(stance.node_turns)
+        self._solver.tether = TETHER * self.inertia.diagonal()
         self.cost = Metric.regular(strained + SLOWLY / RATE_HZ**2 * (moving - strained), self.free).matrix
 
     def run(
@@ -191,7 +195,7 @@ class WalkerSimulation:
             self.potential.begin(still, still)
             nodes, _ = self._solver.minimise(
                 [nodes],
-                *(now.node_turns, now.gravity),
+                *(now.drape, now.node_turns, now.gravity),
                 newton=NEWTON + 1,
                 products=2 * PRODUCTS,
                 damping=FIRST_DAMPING,
@@ -216,4 +220,5 @@ class WalkerSimulation:
         way = way * (LARGEST_WAY / way.norm(dim=2, keepdim=True).clamp_min(LARGEST_WAY))
         self.potential.begin(before, before + way)
         starts = [forecast, now.nodes(offsets)]
-        return self._solver.minimise(starts, now.node_turns, now.gravity, newton=NEWTON, products=PRODUCTS)
+        at = (now.drape, now.node_turns, now.gravity)
+        return self._solver.minimise(starts, *at, newton=NEWTON, products=PRODUCTS)
