@@ -19,7 +19,7 @@ constexpr float kAside = 0.01f;
 constexpr float kWorthwhile = 0.002f;
 // A garment node that carries this much of a sample sways as little as the sample needs: where it would lack something,
 // and where sway leads it through a leg. Less is enough there, as what is left lacks something then.
-constexpr float kCarries = 0.1f, kCarriesThrough = 0.3f;
+constexpr float kCarries = 0.2f, kCarriesThrough = 0.3f;
 // [m] A sample that a shin has passed by less is led back over it, all the way where the normal is so much against it.
 constexpr float kReach = 0.05f, kAgainst = 0.5f;
 // What a sample lacks is its garment nodes' part only: the second time sees what the first has left.

@@ -16,7 +16,7 @@ from physkin_core.separation.trunk_shape import TrunkShape
 from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
-WORTHWHILE, CARRIES, CARRIES_THROUGH, REACH, AGAINST = 0.002, 0.1, 0.3, 0.05, 0.5
+WORTHWHILE, CARRIES, CARRIES_THROUGH, REACH, AGAINST = 0.002, 0.2, 0.3, 0.05, 0.5
 MIDDLE, LEAST, DIRECTIONS = 0.6, 1e-9, 32
 
 
