@@ -80,7 +80,8 @@ class SkinGuard {
                  float* node_transforms) noexcept;
   // Takes sway away where samples lack something that it has cost them, and leaves what they lack then.
   void sway_less(float* node_transforms) noexcept;
-  // A share of sway that is to go, of the garment nodes of a sample, and all of these.
+  // A share of sway that is to go, of the garment nodes of a sample (in full of one that `carries` so much of it), and
+  // all of these.
   void still(int sample, float share, float carries) noexcept;
   void take_away(float* node_transforms) noexcept;
   // What sway has moved a sample by [m], from sway_ of its garment nodes.

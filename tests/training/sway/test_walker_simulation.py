@@ -97,11 +97,8 @@ def test_cloth_that_is_moved_as_one_weighs_what_it_weighs(simulation):
 
 
 def test_a_step_lowers_the_potential(simulation):
-    still = motions(0.0, 1)
     with torch.no_grad():
-        now = stance_of(simulation, still)
-        vertices = simulation.skinning.vertices(now.drape)
-        simulation.potential.begin(vertices, vertices)
+        now, vertices = standing_still(simulation)
 
         def potential(vertices):
             energies, _ = simulation.potential.evaluate(vertices, now.gravity, *simulation.dressed.contact)
@@ -117,11 +114,8 @@ def test_a_step_lowers_the_potential(simulation):
 
 
 def test_the_tether_is_a_spring_to_the_drape(simulation):
-    still = motions(0.0, 1)
     with torch.no_grad():
-        now = stance_of(simulation, still)
-        at = simulation.skinning.vertices(now.drape)
-        simulation.potential.begin(at, at)
+        now, _ = standing_still(simulation)
         solver = simulation._solver
         solver.minimise(*([now.drape], now.drape, now.node_turns, now.gravity), newton=1, products=1)
         off = torch.randn_like(now.drape) * simulation.free[:, None, None]
@@ -150,6 +144,14 @@ def simulation_turns(simulation):
     still = motions(0.0, 1)
     with torch.no_grad():
         return stance_of(simulation, still).node_turns
+
+
+def standing_still(simulation):
+    """The stance at rest, and vertices of its drape, from which the next step begins."""
+    now = stance_of(simulation, motions(0.0, 1))
+    vertices = simulation.skinning.vertices(now.drape)
+    simulation.potential.begin(vertices, vertices)
+    return now, vertices
 
 
 def stance_of(simulation, motion):

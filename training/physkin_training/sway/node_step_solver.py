@@ -54,12 +54,12 @@ class NodeStepSolver(NewtonSolver):
     """Minimises an incremental potential over garment nodes; gradients and steps are of changes in their own posed
     frames. free: (m,) bool, those that move.
 
-    `metric` is to be set, from `mean_stiffness`, before the first step, and `tether` (12 m,) [J], by which changes of
-    garment nodes are drawn back to the drape: some of them move no cloth, and would drift on and on.
+    `metric` is to be set, from `mean_stiffness`, before the first step, and `tether` (12 m,) [J], zero at first and
+    for those that do not move, by which changes of garment nodes are drawn back to the drape: some of them move no
+    cloth, and would drift on and on.
     """
 
     metric: Metric
-    tether: torch.Tensor
     asks = False
     hessian_every = 2
 
@@ -158,7 +158,7 @@ class NodeStepSolver(NewtonSolver):
         return _through(self.metric.inverse, residual)
 
     def _drawn_back(self, q: torch.Tensor) -> torch.Tensor:
-        return (self.tether * q.flatten(1)).view_as(q) * self.free
+        return (self.tether * q.flatten(1)).view_as(q)
 
     def _times(self, q: torch.Tensor) -> torch.Tensor:
         """Second derivative times q."""
