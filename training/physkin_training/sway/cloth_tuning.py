@@ -37,7 +37,7 @@ COMPRESSED = 0.05
 """Share of the stiffness of cloth that is left under compression: more than of walkers, as here it would crumple."""
 SWING = 10.0
 """How much it counts how far the first shapes swing: energies would rather have them still."""
-WINDOWS, DRAPED = 6, 2
+WINDOWS, DRAPED = 3, 1
 """Windows a body in a step, and of how many a frame is draped; these are not blurred, as cloth fits the body."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 1e-3, 0.02, 100
 LAST_LAYER = 0.05

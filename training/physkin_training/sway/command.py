@@ -42,11 +42,11 @@ class SwayPlan:
     Raises ValueError for a number that cannot be.
     """
 
-    bodies: int = 64
-    walkers: int = 10
-    rounds: int = 2
+    bodies: int = 128
+    walkers: int = 5
+    rounds: int = 4
     seconds: float = 5.0
-    steps: int = 14000
+    steps: int = 28000
     tuning_steps: int = 9000
     seed: int = 0
 

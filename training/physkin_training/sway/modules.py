@@ -29,7 +29,7 @@ MOST_SPEED_UP: float = native.constants["most_speed_up"]
 HIDDEN, OSCILLATORS, READ, LAST = 96, 64, 192, 96
 SLOWEST, FASTEST = 2.0, 12.0
 """[1/s] by which oscillators decay at first."""
-LEAST_RATE, MOST_RATE = 1.4, 50.0
+LEAST_RATE, MOST_RATE = 1.8, 50.0
 """[1/s] between which learning leaves them, gates included; slower ones still move cloth seconds after a stop."""
 GATE = -1.0
 """Bias of gates at first: they let oscillators run slower than they could, but not at their slowest."""
