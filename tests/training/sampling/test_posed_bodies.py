@@ -53,6 +53,14 @@ def test_skinning_agrees_with_the_avatar(posed):
     assert np.abs(moved).max() > 0.3
 
 
+@pytest.mark.parametrize("positions, of_bodies", [(SAMPLES - 1, SAMPLES - 1), (SAMPLES + 1, SAMPLES), (SAMPLES, 2)])
+def test_other_numbers_of_samples_are_refused(posed, positions, of_bodies):
+    scene, q, _, _ = posed
+    told = f"expected joint positions of {SAMPLES} samples, got {positions}, and {of_bodies} bodies"
+    with pytest.raises(ValueError, match=told):
+        scene.pose(torch.zeros(positions, q.shape[1]), torch.zeros(of_bodies, dtype=torch.int64))
+
+
 def test_samples_cannot_touch_each_other(posed):
     """Far enough apart on the grid for any pose of any body."""
     scene, _, _, _ = posed

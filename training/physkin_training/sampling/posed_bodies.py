@@ -183,7 +183,13 @@ class PosedBodies:
         return wp.to_torch(self.mesh.points).view(len(self.offset), -1, 3) - self.offset[:, None]
 
     def bone_transforms(self, joint_positions: torch.Tensor, body_index: torch.Tensor) -> torch.Tensor:
-        """Bone transforms (B, b, 3, 4) at joint_positions (B, d) [rad] of bodies (B,) int64; the mesh stays."""
+        """Bone transforms (B, b, 3, 4) at joint_positions (B, d) [rad] of bodies (B,) int64; the mesh stays.
+
+        Raises ValueError when there are not as many of both as samples: kernels would write beyond their arrays.
+        """
+        samples, given = len(self.offset), (len(joint_positions), len(body_index))
+        if given != (samples, samples):
+            raise ValueError(f"expected joint positions of {samples} samples, got {given[0]}, and {given[1]} bodies")
         heads = self.bodies.heads[body_index]
         rotations = wp.from_torch(self._rotations, dtype=wp.mat33)
         translations = wp.from_torch(self._translations, dtype=wp.vec3)
