@@ -56,7 +56,7 @@ def test_skinning_agrees_with_the_avatar(posed):
 @pytest.mark.parametrize("positions, of_bodies", [(SAMPLES - 1, SAMPLES - 1), (SAMPLES + 1, SAMPLES), (SAMPLES, 2)])
 def test_other_numbers_of_samples_are_refused(posed, positions, of_bodies):
     scene, q, _, _ = posed
-    told = f"expected joint positions of {SAMPLES} samples, got {positions}, and {of_bodies} bodies"
+    told = f"must be {SAMPLES} each, one a sample; got {positions} and {of_bodies}"
     with pytest.raises(ValueError, match=told):
         scene.pose(torch.zeros(positions, q.shape[1]), torch.zeros(of_bodies, dtype=torch.int64))
 

@@ -64,8 +64,8 @@ MEASURED_EVERY = 250
 SWAY_PLAN = SwayPlan(walkers=3, rounds=1, steps=10000, tuning_steps=6000)
 """As many bodies as `learn-sway` with a seventh of its walkers."""
 SIMULATING, LEARNING, LEAST_FOR_SWAY = 300.0, 120.0, 900.0
-"""[s] Kept for simulating walkers, and for learning from them (on an H100 a cape takes 115 and 110, a poncho's walkers
-200); and what the whole command must have for it."""
+"""[s] Kept for simulating walkers, and for learning from them (on an H100, with 320 walkers, a cape takes 115
+and 110, a poncho's walkers 200); and what the whole command must have for it."""
 WORTH = 0.9
 """A network must leave at most this share of the distance that simulated cloth is from cloth that does not swing, or it
 is not worth its time in every frame. Shipped ones leave about 0.5 to 0.8."""

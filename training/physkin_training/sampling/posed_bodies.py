@@ -189,7 +189,8 @@ class PosedBodies:
         """
         samples, given = len(self.offset), (len(joint_positions), len(body_index))
         if given != (samples, samples):
-            raise ValueError(f"expected joint positions of {samples} samples, got {given[0]}, and {given[1]} bodies")
+            got = f"got {given[0]} and {given[1]}"
+            raise ValueError(f"joint positions and bodies must be {samples} each, one a sample; {got}")
         heads = self.bodies.heads[body_index]
         rotations = wp.from_torch(self._rotations, dtype=wp.mat33)
         translations = wp.from_torch(self._translations, dtype=wp.vec3)
