@@ -78,11 +78,16 @@ def test_a_file_keeps_every_rounded_weight(rounding):
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_shipped_models_lose_nothing_more_in_eight_bits(name):
-    """They are stored rounded, so that int8 is 0.2 to 0.4 mm from fp32, as bf16 is; one by one 0.6 to 0.9."""
+    """They are stored rounded, so that int8 is as far from fp32 as bf16 is, 0.1 to 0.5 mm. How far depends on the
+    processor, which sums in another order; their ratio hardly does: 0.7 to 1.1 on four instruction sets. Rounded one by
+    one, int8 is 2.3 to 3.5 times as far as bf16 (docs/notebook/benchmark.md). 1.5 lies between."""
     model = load_garment_model(name)
     for weight, _ in (*model.pose_modulator[1:], *model.node_deformer[1:]):
         assert np.abs(in_steps(weight) - np.rint(in_steps(weight))).max() < 0.3
     bound, clip = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig)), load_motion("dance")
     poses = list(zip(clip.positions_for(model.rig)[::20], clip.gravity[::20]))
-    exact, rounded = (np.stack(drape_poses(bound, poses, precision=each))[..., :3] for each in ("fp32", "int8"))
-    assert np.linalg.norm(rounded - exact, axis=-1).mean() < 0.45e-3
+    exact, half, rounded = (
+        np.stack(drape_poses(bound, poses, precision=each))[..., :3] for each in ("fp32", "bf16", "int8")
+    )
+    lost = [np.linalg.norm(each - exact, axis=-1).mean() for each in (half, rounded)]
+    assert lost[1] < 1.5 * lost[0], lost

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -20,8 +20,13 @@ from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.command import main
 from physkin_training.sway.export import exported
 from physkin_training.sway.modules import Features, SwayModule, swaying_joints
+from physkin_training.sway.shapes import Shapes
+from physkin_training.sway.walkers import Walkers
+from physkin_training.sway.walkers_file import load_walkers, save_walkers
 
 TINY = ("--bodies", "2", "--walkers", "2", "--rounds", "1", "--seconds", "0.5", "--steps", "3", "--tuning-steps", "2")
+
+SIZED = {entry.name for entry in fields(Walkers)} - {"bodies", "shapes"}
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +95,7 @@ def test_walkers_are_kept_and_taken_from_their_file(band, quick, tmp_path, capsy
     assert main([*options, "-o", str(again)]) == 0
     said = capsys.readouterr().out
     assert f"walkers of {kept}: 4" in said and "simulated" not in said
-    one, other = (load_garment_model(path).arrays() for path in (first, again))
-    swaying = {name: array for name, array in one.items() if name.startswith("sway.")}
-    assert swaying
-    for name, array in swaying.items():
-        np.testing.assert_allclose(array, other[name], rtol=1e-2, atol=1e-6, err_msg=name)
+    assert load_garment_model(again).sway is not None
     with pytest.raises(ValueError, match="were simulated with seed 0, not 1: name another file"):
         main([*options, "--seed", "1", "-o", str(again)])
     with pytest.raises(ValueError, match="holds no simulated walkers"):
@@ -102,6 +103,24 @@ def test_walkers_are_kept_and_taken_from_their_file(band, quick, tmp_path, capsy
     kept.write_bytes(b"no tensors")
     with pytest.raises(ValueError, match="cannot be read"):
         main([*options, "-o", str(again)])
+
+
+def test_a_file_keeps_walkers_to_the_bit(tmp_path):
+    """What is learnt from them again is not compared: between two runs sums may be taken in another order."""
+    random = torch.Generator().manual_seed(0)
+    fields_of = {name: torch.randn(3, 4, generator=random) for name in SIZED}
+    kept = Walkers(
+        **fields_of | {"coefficients": fields_of["coefficients"].half(), "valid": fields_of["valid"] > 0},
+        bodies=np.arange(6.0).reshape(2, 3),
+        shapes=Shapes(*(torch.randn(2, 5, generator=random) for _ in fields(Shapes))),
+    )
+    save_walkers(kept, {"seed": 0}, tmp_path / "walkers.safetensors")
+    taken = load_walkers({"seed": 0}, tmp_path / "walkers.safetensors", torch.device("cpu"))
+    for name in SIZED:
+        assert torch.equal(getattr(taken, name), getattr(kept, name)), name
+    for entry in fields(Shapes):
+        assert torch.equal(getattr(taken.shapes, entry.name), getattr(kept.shapes, entry.name)), entry.name
+    np.testing.assert_array_equal(taken.bodies, kept.bodies)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from random_models import random_model, tube
 from training.small_runs import waist_band_model
 
+from physkin_core import Garment
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.energies.motion import Dynamics
@@ -34,6 +38,17 @@ def simulation():
     """Two bodies of two walkers in a band whose uppermost garment nodes are held."""
     model = waist_band_model()
     free = model.node_rest[:, 2] <= HELD_ABOVE
+    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, free=free)
+
+
+@pytest.fixture(scope="module")
+def bell():
+    """The same bodies and walkers in a bell from the waist to the knees, 5 cm off the hips, that its waist holds."""
+    about = tube(rings=9, segments=20, radius=0.25, height=0.4)
+    garment = Garment(about.vertices + [0, 0, -0.1], about.faces)
+    model = random_model(np.random.default_rng(1), rig=BODY_MODEL.rig, garment=garment, nodes=16, correction=0.0)
+    model = replace(model, node_bone=np.zeros_like(model.node_bone))  # all on the pelvis
+    free = model.node_rest[:, 2] <= 0.0
     return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, free=free)
 
 
@@ -126,24 +141,22 @@ def test_the_tether_is_a_spring_to_the_drape(simulation):
     assert (solver.tether[simulation.free.repeat_interleave(12)] > 0).all()
 
 
-def test_cloth_rests_and_lags_behind_a_root_that_hurries(simulation, monkeypatch):
-    """A band that nothing holds below crumples, which takes more iterations than a skirt."""
-    monkeypatch.setattr(walker_simulation, "NEWTON", 30)
-    monkeypatch.setattr(walker_simulation, "PRODUCTS", 40)
-    rest, counts = offsets_of(simulation, motions(0.0, 4))
-    lagging, _ = offsets_of(simulation, motions(30.0, 4))
+def test_cloth_rests_and_lags_behind_a_root_that_hurries(bell):
+    """A bell hangs free of the body, in tension: it comes to rest without crumpling, so that rounding decides nothing.
+
+    In three frames at 30 m/s2 the root goes 37 mm. A hem that nothing dragged along would lag behind by all of it: a
+    fifth is asked there (seen: 17 to 34 mm), and 2 mm in the mean over all cloth, held or free (seen: 5 to 8).
+    """
+    rest, counts = offsets_of(bell, motions(0.0, 4))
+    lagging, _ = offsets_of(bell, motions(30.0, 4))
     assert counts.all()
-    assert (rest[-1] - rest[-2])[..., 3].norm(dim=-1).max() < 5e-3
-    behind = simulation.skinning.vertices(simulation_turns(simulation) @ (lagging[-1] - rest[-1]))[..., 0]
-    assert behind.mean() < -5e-4 and behind.min() < -3e-3
-    assert lagging[:, :, ~simulation.free].abs().max() < 1e-6
-
-
-def simulation_turns(simulation):
-    """Of posed garment nodes at rest."""
-    still = motions(0.0, 1)
     with torch.no_grad():
-        return stance_of(simulation, still).node_turns
+        turns = stance_of(bell, motions(0.0, 1)).node_turns
+        before, after, hurried = (bell.skinning.vertices(turns @ offsets) for offsets in (*rest[-2:], lagging[-1]))
+    assert (after - before).abs().max() < 1e-4
+    behind = (hurried - after)[..., 0]
+    assert behind.mean(dim=1).max() < -2e-3 and behind.amin(dim=1).max() < -0.2 * 0.0375
+    assert lagging[:, :, ~bell.free].abs().max() < 1e-6
 
 
 def standing_still(simulation):
