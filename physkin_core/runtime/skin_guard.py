@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.body_shape.limb_chains import Limbs, find_limbs
+from physkin_core.body_shape.skin_parts import SkinPart, fit_skin_parts
 from physkin_core.native_module import as_float32, native
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.skin_clearance import draped_at_rest
-from physkin_core.separation.limb_chains import Limbs, find_limbs
-from physkin_core.separation.skin_parts import SkinPart, fit_skin_parts
 
 __all__ = ["guarded"]
 

@@ -12,25 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.model.garment import face_areas
+from physkin_core.body_shape.limb_chains import Limb, find_limbs
+from physkin_core.body_shape.radial_shape import RadialShape
+from physkin_core.body_shape.skin_by_part import SkinByPart, SkinPoints, trunk_of
 from physkin_core.native_module import as_float32, native
-from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.limb_chains import Limb, Limbs, find_limbs
-from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UPPER, SkinPoints, fit_limb
-from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
+from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UPPER, fit_limb
 
-__all__ = ["CollisionShape", "SkinByPart", "fit_collision_shape", "trunk_of"]
+__all__ = ["CollisionShape", "fit_collision_shape"]
 
 TRUNK = -1
 """Stands for the trunk where else a capsule's index does."""
-ABOVE_CROTCH = 0.01
-"""[m] The trunk's surface begins here; legs are below."""
-MOST_BELOW_HIPS = 0.2
-"""[m] The crotch is not farther below the hip joints."""
-MIDDLE = 0.03
-"""[m] Skin so near to the plane of symmetry tells where the crotch is."""
-SHORTEST_TRUNK = 0.1
 CAPSULE_BLUR: float = native.constants["capsule_blur"]
 """[m] So near to a capsule's axis there is no way out to prefer: arms may pass through each other."""
 SLACK = 0.02
@@ -44,7 +36,7 @@ class CollisionShape:
     parents (b,), heads (b, 3) of the body, dof_bone, dof_axis, dof_rest, dof_lower, dof_upper: as of `BoundGarment`.
     trunk_bones: (K,) from the pelvis up. trunk_heights: (K,) [m] above which each of them takes over from the last.
     trunk_frame: (4,) X and Y of the axis, heights between which the surface was fitted.
-    trunk_coefficients: (J, 2 H + 1), see `TrunkShape`.
+    trunk_coefficients: (J, 2 H + 1), see `RadialShape`.
     sphere_bone (S,), sphere_centre (S, 3), sphere_radius (S,).
     sphere_limb: (S,) whose joints move it, -1 for none; sphere_joints: (S,) how many of these, from the trunk outwards.
     capsules: (C, 2) spheres that span them. groups: (G, 2) first sphere, and one after the last. group_reach: (G,) [m]
@@ -81,10 +73,10 @@ class CollisionShape:
     limb_kind: np.ndarray
 
     @property
-    def trunk(self) -> TrunkShape:
+    def trunk(self) -> RadialShape:
         """The smooth surface of the trunk, in single precision as it is used."""
         x, y, low, high = self.trunk_frame.astype(np.float64)
-        return TrunkShape(np.array([x, y]), low, high, self.trunk_coefficients.astype(np.float64))
+        return RadialShape(np.array([x, y]), low, high, self.trunk_coefficients.astype(np.float64))
 
     def depths(self, centres: np.ndarray, trunk_points: np.ndarray) -> np.ndarray:
         """How deep each contact is, (A,) [m], negative outside. centres: (S, 3) of the spheres in a pose; trunk_points:
@@ -172,34 +164,6 @@ def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[Coll
     return replace(shape, allowed=as_float32(np.maximum(at_rest + onset, 0.0))), tuple(warnings)
 
 
-class SkinByPart:
-    """Skin points by the part of the body they belong to: three of each limb, then the head, else the trunk."""
-
-    def __init__(self, avatar: Avatar, rig: Rig, found: Limbs) -> None:
-        self.limbs = len(found.limbs)
-        starts = {bone: 3 * k + part for k, limb in enumerate(found.limbs) for part, bone in enumerate(limb.ends)}
-        if found.head >= 0:
-            starts[found.head] = 3 * self.limbs
-        parts = rig.inherited(starts, 3 * self.limbs + 1)[avatar.influence_bones]
-        self._part = dense_weights(parts, avatar.influence_weights, 3 * self.limbs + 2).argmax(axis=1)
-        self._points = avatar.vertices.astype(np.float64)
-        corners = np.repeat(face_areas(self._points, avatar.faces) / 3, 3)
-        self._areas = np.bincount(avatar.faces.reshape(-1), corners, len(self._points))
-
-    def of(self, *parts: int) -> SkinPoints:
-        """Points of parts, those that faces use."""
-        chosen = np.isin(self._part, parts) & (self._areas > 0)
-        return SkinPoints(self._points[chosen], self._areas[chosen])
-
-    def head(self) -> SkinPoints:
-        """Of the head."""
-        return self.of(3 * self.limbs)
-
-    def trunk(self, *more: int) -> SkinPoints:
-        """Of the trunk, and of more parts."""
-        return self.of(3 * self.limbs + 1, *more)
-
-
 class _Spheres:
     """Spheres and capsules, gathered limb by limb."""
 
@@ -274,26 +238,3 @@ def _pairs(limbs: list[Limb], *, with_head: bool) -> tuple[np.ndarray, np.ndarra
     starts = np.cumsum([0, *sizes[:-1]])
     rows = [(*pair, start) for pair, start in zip(pairs, starts)]
     return np.array(groups, dtype=np.int32), np.array(rows, dtype=np.int32).reshape(-1, 3)
-
-
-def trunk_of(skin: SkinByPart, found: Limbs, heads: np.ndarray) -> TrunkShape:
-    """The surface from crotch to shoulders, thighs above the crotch included. Raises ValueError where that is too
-    short."""
-    own = skin.trunk()
-    shoulders = [heads[limb.ends[0], 2] for limb in found.limbs if limb.is_arm]
-    hips = [heads[limb.ends[0]] for limb in found.limbs if not limb.is_arm]
-    high = float(np.mean(shoulders)) if shoulders else float(np.quantile(own.points[:, 2], 0.9))
-    middle = np.average(own.points, axis=0, weights=own.areas)
-    inner = np.abs(own.points[:, 1] - middle[1]) < MIDDLE
-    crotch = own.points[inner, 2].min() if inner.any() else own.points[:, 2].min()
-    if hips:  # not a tail's or a coat's
-        crotch = max(crotch, np.mean(hips, axis=0)[2] - MOST_BELOW_HIPS)
-    low = float(crotch) + ABOVE_CROTCH
-    if high - low < SHORTEST_TRUNK:
-        raise ValueError(
-            f"limbs cannot be separated: the trunk is {high - low:.2f} m high between crotch and shoulders"
-        )
-    thighs = [3 * k for k, limb in enumerate(found.limbs) if not limb.is_arm]
-    points = skin.trunk(*thighs)
-    between = (points.points[:, 2] > low) & (points.points[:, 2] < high)
-    return fit_trunk(points.points[between], points.areas[between], low, high)

@@ -5,11 +5,11 @@ Hands and feet are flat: two by two spheres and one at the tip. Dimensions: `V` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-__all__ = ["CAPSULES", "END", "LOWER", "SPHERES", "UPPER", "SkinPoints", "fit_limb"]
+from physkin_core.body_shape.skin_by_part import SkinPoints
+
+__all__ = ["CAPSULES", "END", "LOWER", "SPHERES", "UPPER", "fit_limb"]
 
 UPPER_STATIONS, LOWER_STATIONS = (0.2, 0.5, 0.8), (0.0, 0.25, 0.5, 0.75, 1.0)
 """Along the segments; the upper one's end is the lower one's beginning."""
@@ -24,14 +24,6 @@ FEWEST = 8
 """Skin points that a segment must have."""
 FLAT = 1.5
 """Half of a hand's thickness over the standard deviation of its skin."""
-
-
-@dataclass(frozen=True)
-class SkinPoints:
-    """Skin of a part of the body: points (V, 3), and areas (V,) that they stand for [m2]."""
-
-    points: np.ndarray
-    areas: np.ndarray
 
 
 def fit_limb(joints: np.ndarray, segments: SkinPoints, end: SkinPoints) -> tuple[np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.limb_chains import find_limbs
 from physkin_core.view.motion_tab import NO_MARKS
 from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState

@@ -27,6 +27,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
@@ -34,7 +35,6 @@ from physkin_core.outfit.outfit_options import add_sway_option
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.layer import WornGarment
-from physkin_core.separation.limb_chains import find_limbs
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model
 from physkin_training.evaluate.outfit_evaluation import Counts, DressedBody
 from physkin_training.physics.surface_queries import BodySurface

@@ -1,5 +1,5 @@
 // Parts of a body's skin as smooth surfaces that follow its bones: what cloth is kept out of.
-// physkin_core/separation/skin_parts.py fits them.
+// physkin_core/body_shape/skin_parts.py fits them.
 #pragma once
 
 #include <vector>

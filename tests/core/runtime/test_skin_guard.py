@@ -10,10 +10,10 @@ from reference.frame import ReferenceFrame
 from reference.guard.skin_guard import skin_depth
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
+from physkin_core.body_shape.limb_chains import find_limbs
+from physkin_core.body_shape.skin_parts import fit_skin_parts
 from physkin_core.quality import edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.separation.limb_chains import find_limbs
-from physkin_core.separation.skin_parts import fit_skin_parts
 
 RATE = 30.0
 INSIDE = 0.002

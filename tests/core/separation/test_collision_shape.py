@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from physkin_core import DegreeOfFreedom, Rig
+from physkin_core.body_shape.limb_chains import find_limbs
+from physkin_core.body_shape.radial_shape import fit_radial_shape
 from physkin_core.separation.collision_shape import TRUNK, capsule_depth, fit_collision_shape
-from physkin_core.separation.limb_chains import find_limbs
-from physkin_core.separation.trunk_shape import fit_trunk
 
 ONSET = 0.01
 
@@ -71,7 +71,7 @@ def test_the_trunk_surface_is_smooth():
     angle, height = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(-0.3, 0.3, 4000)
     radius = 0.15 + 0.05 * height + 0.02 * np.cos(2 * angle)
     points = np.column_stack([radius * np.cos(angle) + 0.05, radius * np.sin(angle), height])
-    shape = fit_trunk(points, np.ones(len(points)), -0.3, 0.3)
+    shape = fit_radial_shape(points, np.ones(len(points)), -0.3, 0.3)
     assert np.abs(shape.depth(points)[0]).mean() < 0.002
     tried = rng.uniform(-0.5, 0.5, (2000, 3))
     step = 1e-5 * rng.normal(size=tried.shape)

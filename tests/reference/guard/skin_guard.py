@@ -6,13 +6,13 @@ its sway is to go: what it lacks, divided by that cost, which is rounded where i
 largest share goes that is asked for by samples of which it carries a tenth or more, and less by others. Then it moves
 by the mean, over samples that it carries, of what each still lacks along the normal, weighted by skinning weight times
 lack; twice, the second time seeing what the first has left. The fields are those of `physkin_core.runtime.skin_guard`;
-depths are those of the product's `TrunkShape`.
+depths are those of the product's `RadialShape`.
 """
 
 import numpy as np
 
+from physkin_core.body_shape.radial_shape import RadialShape
 from physkin_core.model.skinning import SkinningData
-from physkin_core.separation.trunk_shape import TrunkShape
 from reference.skinning import skin
 
 SOFT, TOO_DEEP, FADE, PASSES = 0.002, 0.15, 0.05, 2
@@ -159,6 +159,6 @@ def skin_depth(bound, part, bones, points):
         share = share**2 * (3 - 2 * share)
         at = at + share[:, None] * (seen - at)
         turn = turn + share[:, None, None] * (back - turn)
-    depth, normal = TrunkShape(np.array([x, y]), low, high, bound.skin_coefficients[part].astype(np.float64)).depth(at)
+    depth, normal = RadialShape(np.array([x, y]), low, high, bound.skin_coefficients[part].astype(np.float64)).depth(at)
     normal = np.einsum("sji,sj->si", turn, normal)
     return depth, normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]

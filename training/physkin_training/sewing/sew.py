@@ -19,11 +19,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import Material
 from physkin_core.model.rest_shape import flat_areas
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.limb_chains import find_limbs
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.dynamics.step_solver import StepSolver

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.separation.limb_chains import find_limbs
 
 __all__ = ["sway_share"]
 

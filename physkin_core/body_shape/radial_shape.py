@@ -1,4 +1,4 @@
-"""The trunk as a smooth surface: a radius about a vertical axis, by height and direction.
+"""A part of the body as a smooth surface: a radius about an axis (the trunk's is vertical), by height and direction.
 
 Quadratic B-splines of height times a Fourier series of direction, fitted to the skin. Unlike capsules it follows
 bellies, waists and hips, and its slope is continuous. Above and below it narrows as cones do.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["TrunkShape", "fit_trunk"]
+__all__ = ["RadialShape", "fit_radial_shape"]
 
 SPLINES, HARMONICS = 8, 4
 SMOOTHING = 2e-3
@@ -25,7 +25,7 @@ ROUNDING = 0.03
 
 
 @dataclass(frozen=True)
-class TrunkShape:
+class RadialShape:
     """centre: (2,) X and Y of the axis. low, high: heights between which it was fitted. coefficients: (J, 2 H + 1)
     [m], radius, then cosine and sine of each harmonic."""
 
@@ -54,7 +54,7 @@ class TrunkShape:
         return (radius - distance - cap) / steep, gradient / steep[:, None]
 
 
-def fit_trunk(points: np.ndarray, areas: np.ndarray, low: float, high: float) -> TrunkShape:
+def fit_radial_shape(points: np.ndarray, areas: np.ndarray, low: float, high: float) -> RadialShape:
     """The smooth surface nearest to skin points (V, 3) that stand for areas (V,), least squares."""
     centre = np.average(points[:, :2], axis=0, weights=areas)
     x, y = (points[:, :2] - centre).T
@@ -67,7 +67,7 @@ def fit_trunk(points: np.ndarray, areas: np.ndarray, low: float, high: float) ->
     steps = np.diff(np.eye(SPLINES), axis=0)
     smooth = np.kron(steps.T @ steps, np.eye(len(order))) + np.kron(np.eye(SPLINES), np.diag(0.05 * order**2.0))
     found = np.linalg.solve(design.T @ weighted + SMOOTHING * smooth, weighted.T @ distance)
-    return TrunkShape(centre, low, high, found.reshape(SPLINES, -1))
+    return RadialShape(centre, low, high, found.reshape(SPLINES, -1))
 
 
 def _splines(z: np.ndarray, low: float, high: float, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,8 @@
-"""The skin of legs and trunk as smooth surfaces that follow the bones: what cloth that hangs free is kept out of.
+"""The skin of legs, trunk, forearms and hands as smooth surfaces that follow the bones: cloth is kept out of these.
 
-A thigh or a shin is a radius about the way from hip to ankle, as the trunk is one about a vertical axis: `TrunkShape`
-in axes of its own, X of them forward. Bones that twist it take over along it. They are apart, so that a shin can lie
-against the thigh. Dimensions: `k` parts, `J` splines, `H` harmonics. Metres.
+Each part is a `RadialShape` in axes of its own: the trunk about a vertical axis, a thigh or a shin about the line from
+hip to ankle, with X forward. The bones that twist a part take over from each other along it. Thigh and shin are two
+parts, so that a shin can lie against the thigh. Dimensions: `k` parts, `J` splines, `H` harmonics. Metres.
 """
 
 from __future__ import annotations
@@ -12,19 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.body_shape.limb_chains import Limb, Limbs
+from physkin_core.body_shape.radial_shape import RadialShape, fit_radial_shape
+from physkin_core.body_shape.skin_by_part import SkinByPart, SkinPoints, trunk_of
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
-from physkin_core.separation.collision_shape import SkinByPart, trunk_of
-from physkin_core.separation.limb_chains import Limb, Limbs
-from physkin_core.separation.limb_shape import SkinPoints
-from physkin_core.separation.trunk_shape import TrunkShape, fit_trunk
 
 __all__ = ["SkinPart", "fit_skin_parts"]
 
 BLEND = 0.06
 """[m] along the axis over which a bone takes over from the last one."""
 FEWEST = 30
-"""Skin points that a thigh or a shin must have."""
+"""Skin points that a part must have."""
 BEYOND = 0.045
 """[m] by which both reach beyond the knee, which they round when it is bent."""
 HEEL, TOES = 0.03, 0.01
@@ -39,13 +38,14 @@ MOST_ALONG_X = 0.9
 
 @dataclass(frozen=True)
 class SkinPart:
-    """A thigh, a shin or the trunk.
+    """A thigh, a shin, a foot, the trunk, a forearm or a hand.
 
-    frame: (3, 4) from canonical points to the part's own axes, the third of them along it. bones: those that turn it,
-    in their order along the axis. heights: [m] along the axis that each takes over at. blend: [m] over how much.
+    shape: in the part's own axes. frame: (3, 4) from canonical points to these axes, the third of them along the part.
+    bones: those that turn it, in their order along the axis. heights: [m] along the axis at which each takes over.
+    blend: [m] over which it does. presses: whether it is an arm's, which dents cloth instead of carrying it.
     """
 
-    shape: TrunkShape
+    shape: RadialShape
     frame: np.ndarray
     bones: tuple[int, ...]
     heights: tuple[float, ...]
@@ -158,7 +158,7 @@ def _along(
     along = (points[:, 2] > low) & (points[:, 2] < high)
     if along.sum() < FEWEST or high - low < SHORTEST:
         return []
-    shape = fit_trunk(points[along], own.areas[along], low, high)
+    shape = fit_radial_shape(points[along], own.areas[along], low, high)
     frame = np.column_stack([turn, -turn @ origin])
     return [SkinPart(shape, frame, tuple(bones), (low, *heights), BLEND, **kind)]
 
