@@ -11,8 +11,9 @@ import pytest
 
 from import_graph import PACKAGES, ROOT, SCRIPTS, import_graph, modules, room_graph
 
-MOST_FILES, MOST_LINES = 17, 450
-"""Python files a folder; lines a file, of C++ too."""
+MOST_FILES, MOST_LINES = 30, 500
+"""Python files a folder; lines a file, of C++ too. Far above what is usual (a dozen, 200): they find what has outgrown its
+idea, and are not there to be filled."""
 
 MAY_IMPORT = {
     "physkin_core": set(),
@@ -151,7 +152,7 @@ def test_wrong_direction_is_found(tree, text):
 def test_large_folder_and_file_are_found(tree):
     root = tree(**{f"a__m{k}": "" for k in range(MOST_FILES)}, b__long="\n" * (MOST_LINES + 1))
     (root / "native" / "long.cpp").write_text("\n" * (MOST_LINES + 1))
-    found = ["physkin_core/a: 18 files", "physkin_core/b/long.py: 451 lines", "native/long.cpp: 451 lines"]
+    found = ["physkin_core/a: 31 files", "physkin_core/b/long.py: 501 lines", "native/long.cpp: 501 lines"]
     assert too_large(root) == found
 
 
