@@ -12,8 +12,8 @@ import pytest
 from import_graph import PACKAGES, ROOT, SCRIPTS, import_graph, modules, room_graph
 
 MOST_FILES, MOST_LINES = 30, 500
-"""Python files a folder; lines a file, of C++ too. Far above what is usual (a dozen, 200): they find what has outgrown its
-idea, and are not there to be filled."""
+"""Python files a folder; lines a file, of C++ too. Far above what is usual (a dozen, 200): they find what has outgrown
+its idea, and are not there to be filled."""
 
 MAY_IMPORT = {
     "physkin_core": set(),
