@@ -88,18 +88,36 @@ def sewn(
     """
     if loose := set(range(len(cut.names))) - set(cut.panel_of[cut.seams].flat):
         raise PatternError(f"panel {cut.names[min(loose)]!r} is not sewn to anything; every panel needs a stitch")
+    vertex = _sewn_together(cut)
     doll, arms = paper_doll(avatar, rig), Arms(avatar, rig)
     watch = watch or (lambda *_: None)
     body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
     hung = _about(cut, doll, avatar)
     for closed, shape in _close(cut, hung, material, body, (doll, avatar.vertices), arms):
         watch(closed, cut.faces, shape)
-    garment = _joined(cut, closed)
+    garment = _joined(cut, closed, vertex)
     cloth = _Cloth(garment, material, body, garment.vertices)
     for _ in range(HANGING):
         hanging = cloth.step(1.0)
         watch(hanging, garment.faces, avatar.vertices)
     return _made(cut, hanging, garment.faces)
+
+
+def _sewn_together(cut: Cut) -> np.ndarray:
+    """(t,) the vertex of the garment that each of the cut becomes. Raises PatternError where more than two faces would
+    share an edge, before anything is simulated."""
+    t = len(cut.places)
+    pairs = coo_array((np.ones(len(cut.seams)), cut.seams.T), shape=(t, t))
+    vertex = connected_components(pairs, directed=False)[1]
+    edges = np.sort(vertex[cut.faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
+    if count.max() > 2:
+        panel = cut.names[cut.panel[first[count.argmax()] // 3]]
+        raise PatternError(
+            f"it cannot be sewn so: an edge of panel {panel!r} would join {count.max()} pieces of cloth, at most 2 are "
+            "allowed; is it in two stitches?"
+        )
+    return vertex
 
 
 def paper_doll(avatar: Avatar, rig: Rig) -> np.ndarray:
@@ -216,8 +234,9 @@ def _close(
         yield cloth.step(1.0), shape
 
 
-def _joined(cut: Cut, closed: np.ndarray) -> Garment:
-    """The garment whose seams are single vertices, from vertices (t, 3) whose seams are closed."""
+def _joined(cut: Cut, closed: np.ndarray, vertex: np.ndarray) -> Garment:
+    """The garment whose seams are single vertices, those of `_sewn_together`, from vertices (t, 3) whose seams are
+    closed."""
     gaps = np.linalg.norm(closed[cut.seams[:, 1]] - closed[cut.seams[:, 0]], axis=1)
     if not gaps.max() <= LARGEST_GAP:
         one, other = (cut.names[cut.panel_of[vertex]] for vertex in cut.seams[gaps.argmax()])
@@ -225,9 +244,6 @@ def _joined(cut: Cut, closed: np.ndarray) -> Garment:
             f"the seam of panels {one!r} and {other!r} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
             f"are {1000 * LARGEST_GAP:g} mm; does it fit the body?"
         )
-    t = len(closed)
-    pairs = coo_array((np.ones(len(cut.seams)), cut.seams.T), shape=(t, t))
-    _, vertex = connected_components(pairs, directed=False)
     middle = np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]
     return _made(cut, middle, vertex[cut.faces])
 
