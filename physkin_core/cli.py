@@ -19,7 +19,7 @@ import numpy as np
 from physkin_core import AvatarWarning, Outfit, load_avatar, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of, install_command
-from physkin_core.model.model_file import convert_model_file, split_fabric
+from physkin_core.model.model_file import split_fabric
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
@@ -35,7 +35,6 @@ from physkin_core.outfit.outfit_options import (
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
-from physkin_core.renamed import check_options
 from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["main"]
@@ -87,7 +86,6 @@ OWN = {
     "drape": "drape one frame of a motion, and write a mesh or a picture",
     "bind": "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)",
     "info": "show what a garment model file holds",
-    "convert-model": "convert a garment model file of an earlier release to this one",
     "completion": "print the completion script of a shell",
 }
 """The other subcommands, and what they do."""
@@ -98,7 +96,7 @@ GROUPS = {
     "ROS 2": ("node", "demo", "replay", "convert"),
     "garments of your own": ("fit-garment", "train", "train-catalogue", "learn-sway"),
     "measure garments": ("evaluate", "contact-sheet", "simulate", "info"),
-    "this installation": ("doctor", "bench", "convert-model", "completion"),
+    "this installation": ("doctor", "bench", "completion"),
 }
 """Subcommands as `physkin --help` lists them."""
 
@@ -129,7 +127,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    check_options(arguments)
     try:
         if arguments and arguments[0] in FORWARDED:
             status = import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
@@ -216,10 +213,6 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     info = commands.add_parser("info", help=OWN["info"], description=OWN["info"])
     info.add_argument("model", help="garment model file, or the name of a shipped one")
     info.set_defaults(run=_info)
-    convert = commands.add_parser("convert-model", help=OWN["convert-model"], description=OWN["convert-model"])
-    convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
-    convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
-    convert.set_defaults(run=_convert_model)
     completion = commands.add_parser("completion", help=OWN["completion"], description=OWN["completion"])
     completion.add_argument("shell", choices=SHELLS)
     completion.set_defaults(run=_complete)
@@ -300,12 +293,6 @@ def _info(options: argparse.Namespace) -> int:
     }
     width = max(map(len, rows))
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
-    return 0
-
-
-def _convert_model(options: argparse.Namespace) -> int:
-    convert_model_file(options.old, options.output)
-    print(f"wrote {options.output}")
     return 0
 
 

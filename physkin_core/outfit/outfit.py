@@ -21,7 +21,6 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
-from physkin_core.renamed import refuse_old_names
 from physkin_core.rig.rig import Rig
 from physkin_core.rig.vrm_bones import vrm_bone_table
 from physkin_core.runtime.bound_file import save_bound_outfit
@@ -38,7 +37,6 @@ log = logging.getLogger(__name__)
 FULL_TURN = 2 * np.pi
 
 
-@refuse_old_names
 class Outfit:
     """Drapes one to four garments on one body, a pose at a time.
 
@@ -95,7 +93,7 @@ class Outfit:
         bound = bind_outfit(worn, avatar, fit=fit, hide_covered=hide_covered, own_clothes=own_clothes)
         self._wear(bound, precision, normals)
         for warning in bound.worth_saying:
-            warnings.warn(warning, AvatarWarning, stacklevel=3)  # one frame is of refuse_old_names
+            warnings.warn(warning, AvatarWarning, stacklevel=2)
 
     @classmethod
     def from_bound(

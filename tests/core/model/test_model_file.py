@@ -16,13 +16,12 @@ from physkin_core import (
     GarmentModelError,
     Material,
     ModelFileError,
-    cli,
     load_garment_model,
     save_garment_model,
 )
 from physkin_core.model import model_file
 from physkin_core.model.model_arrays import described_arrays
-from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, convert_model_file, model_content
+from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, model_content
 from physkin_core.tensor_file import read_tensors
 
 
@@ -182,61 +181,11 @@ def test_altered_contents_are_refused(saved, change):
     refused(saved, "damaged or was altered", change, seal=False)
 
 
-@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "", "0", "-1", "1.0", "one", "²"])
+@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "7", "", "0", "-1", "1.0", "one", "²"])
 def test_schema_version_must_be_known(saved, version):
-    refused(saved, f"schema version '?{version}", lambda metadata, _: metadata.update(schema_version=version))
-
-
-@pytest.fixture(params=["4", "7"])
-def older(request, saved, tmp_path):
-    """A file of an earlier version, and what it holds."""
-    metadata, tensors = contents(saved)
-    metadata |= {"schema_version": request.param, "training": json.dumps({"poses": {"accelerated": 0.3}})}
-    metadata |= {"activation": "silu", "material": json.dumps({"youngs_modulus": 60.0, "bending": 2.5e-5})}
-    return written(tmp_path / "old.safetensors", sealed(metadata, tensors)), metadata, tensors
-
-
-def test_older_files_are_refused_by_a_sentence_that_names_what_converts_them(older):
-    with pytest.raises(ModelFileError, match=r"schema version [47], .*: physkin convert-model .*old.safetensors -o"):
-        load_garment_model(older[0])
-
-
-def test_conversion_keeps_every_number(older, tmp_path, capsys):
-    """The same tensors, deflated, the same metadata but for the version, what is gone, and what went without saying:
-    cloth bent from the shape of its mesh, and fewer octaves of bending were learnt."""
-    old, metadata, tensors = older
-    new = tmp_path / "new.safetensors"
-    assert cli.main(["convert-model", str(old), "-o", str(new)]) == 0
-    converted, same = contents(new)
-    kept = metadata.keys() - {"activation", "sha256", "schema_version", "material", "training"}
-    assert {key: converted[key] for key in kept} == {key: metadata[key] for key in kept}
-    assert converted.keys() == metadata.keys() - {"activation"} and converted["schema_version"] == str(SCHEMA_VERSION)
-    assert new.stat().st_size < old.stat().st_size
-    for name in same.keys() | tensors.keys():
-        np.testing.assert_array_equal(same[name], tensors[name], err_msg=name, strict=True)
-    model = load_garment_model(new)
-    assert model.material == Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made")
-    assert model.training == {"poses": {"accelerated": 0.3}, "bending_octaves": [-2, 4]}
-    assert cli.main(["convert-model", str(new), "-o", str(tmp_path / "again.safetensors")]) == 2
-    assert "nothing to convert" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "change, lacking",
-    [
-        (lambda metadata, _: metadata.update(activation="relu"), "activation 'relu', allowed is 'silu'"),
-        (lambda metadata, _: metadata.update(training="{}"), "not trained with accelerated roots"),
-        *((lambda _, tensors, name=name: tensors.pop(name), f"lacks '{name}'")
-          for name in ("hyper_modulator.fit", "hyper_modulator.bend", "garment.normals", "engine_skinning.nodes")),
-    ],
-)  # fmt: skip
-def test_a_model_that_lacks_what_all_have_is_not_converted(older, tmp_path, change, lacking):
-    old, metadata, tensors = older
-    change(metadata, tensors)
-    written(old, sealed(metadata, tensors))
-    with pytest.raises(ModelFileError, match=f"cannot convert .*old.safetensors, train it anew: .*{lacking}"):
-        convert_model_file(old, tmp_path / "new.safetensors")
-    assert list(tmp_path.iterdir()) == [old]
+    """An older one is to be trained anew, a newer one needs a newer release."""
+    remedy = {"7": ".* train it anew", str(SCHEMA_VERSION + 1): ".* update PhySkin"}.get(version, "")
+    refused(saved, f"schema version '?{version}{remedy}", lambda metadata, _: metadata.update(schema_version=version))
 
 
 # --- Inconsistent, though undamaged ---
