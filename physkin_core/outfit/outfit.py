@@ -372,9 +372,12 @@ class Outfit:
 
 
 def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Avatar) -> tuple[WornGarment, ...]:
-    if isinstance(garments, GarmentModel | WornGarment) or not isinstance(avatar, Avatar):
-        given = f"{type(garments).__name__}, {type(avatar).__name__}"
-        raise TypeError(f"Outfit takes a list of garments, then an avatar: Outfit([inner, outer], avatar), got {given}")
+    if isinstance(garments, GarmentModel | WornGarment):
+        raise TypeError(f"Outfit takes a list of garments, got one {type(garments).__name__}: put it into a list")
+    if not isinstance(avatar, Avatar):
+        raise TypeError(
+            f"garments are put on an Avatar, got {type(avatar).__name__}: garments come first, then the avatar"
+        )
     checked = [WornGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
     for garment in checked:
         if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
