@@ -7,6 +7,7 @@ Dimensions: `h`, `w` height and width of the picture [pixels], `q` pairs of a fa
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from physkin_core.mesh.surfaces import Surface
 from physkin_core.mesh.tiles_seen import colours_seen
@@ -83,12 +84,5 @@ def _looked_up(surface: Surface, places: np.ndarray, pixel: float) -> np.ndarray
     height, width = image.shape[:2]
     x = places[:, 0] * surface.repeats[0] * width - 0.5
     y = (1 - places[:, 1] * surface.repeats[1]) * height - 0.5
-    left, upper = np.floor(x).astype(int), np.floor(y).astype(int)
-    tx, ty = (x - left)[:, None], (y - upper)[:, None]
-
-    def at(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        return image[row % height, column % width]
-
-    above = at(upper, left) * (1 - tx) + at(upper, left + 1) * tx
-    below = at(upper + 1, left) * (1 - tx) + at(upper + 1, left + 1) * tx
-    return above * (1 - ty) + below * ty
+    channels = np.moveaxis(image, -1, 0)
+    return np.stack([map_coordinates(each, [y, x], order=1, mode="grid-wrap") for each in channels], axis=1)
