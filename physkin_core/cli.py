@@ -15,7 +15,6 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-from trimesh.util import append_faces
 
 from physkin_core import AvatarWarning, Outfit, load_avatar, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
@@ -265,6 +264,8 @@ def _bind(options: argparse.Namespace) -> int:
 
 def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
     """A Wavefront OBJ with the object `body` and one a garment, metres, Z up. One garment is called `garment`."""
+    from trimesh.util import append_faces
+
     names = [layer.name for layer in outfit.layers] if len(cloth) > 1 else ["garment"]
     faces = [outfit.body_to_draw.faces, *(layer.faces for layer in outfit.layers)]
     part = np.repeat(np.arange(len(faces)), list(map(len, faces)))

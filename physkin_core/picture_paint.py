@@ -7,7 +7,6 @@ Dimensions: `h`, `w` height and width of the picture [pixels], `q` pairs of a fa
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from physkin_core.mesh.surfaces import Surface
 from physkin_core.mesh.tiles_seen import colours_seen
@@ -80,6 +79,8 @@ def _doubled(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 def _looked_up(surface: Surface, places: np.ndarray, pixel: float) -> np.ndarray:
     """(q, 4) colour and opacity of the material's picture at places (q, 2), between its four pixels there."""
+    from scipy.ndimage import map_coordinates
+
     image = colours_seen(surface.picture, surface.repeats, pixel)
     height, width = image.shape[:2]
     x = places[:, 0] * surface.repeats[0] * width - 0.5
