@@ -22,18 +22,7 @@ from physkin_core.extras import extra_of, install_command
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
-from physkin_core.outfit.outfit_options import (
-    add_fit_option,
-    add_garment_option,
-    add_limbs_option,
-    add_own_clothes_option,
-    add_rig_option,
-    add_tucked_option,
-    chosen_garments,
-    dressed,
-    print_warnings,
-    read_motion,
-)
+from physkin_core.outfit.outfit_options import add_options, chosen_garments, dressed, print_warnings, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
@@ -201,21 +190,16 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
 
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_garment_option(worn)
-    add_rig_option(worn)
-    add_fit_option(worn)
+    add_options(worn, "garment", "rig", "fit", "tucked")
     drape = command("drape", _drape, worn)
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
         "--strip", type=int, metavar="N", help="draw N frames instead, evenly spread, from the front and the back"
     )
-    add_limbs_option(drape)
-    add_tucked_option(drape)
-    add_own_clothes_option(drape)
+    add_options(drape, "separate-limbs", "own-clothes")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     bind = command("bind", _bind, worn)
-    add_tucked_option(bind)
     bind.add_argument(
         "-o", "--output", type=Path, required=True, help="file to write, such as me.physkin (docs/c-host.md)"
     )
