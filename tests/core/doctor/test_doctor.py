@@ -17,8 +17,9 @@ def found(look):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Only what one file says, and no frame."""
+    """Only what is there, without reading motions and draping a frame."""
     monkeypatch.setattr(installation, "_frame", lambda: "draped")
+    monkeypatch.setattr(installation, "_motions", lambda: "read")
     monkeypatch.setattr(doctor, "DOCTORS", {"physkin_core.doctor.installation": ()})
 
 

@@ -33,7 +33,7 @@ def tiny(**changes):
 def saved(tmp_path_factory):
     """A small garment model file, all network weights packed."""
     path = tmp_path_factory.mktemp("models") / "tiny.safetensors"
-    save_packed(tiny(), path)
+    save_packed(tiny(learnt_sway=True, detail_nodes=5), path)
     return path
 
 
@@ -68,7 +68,7 @@ def test_round_trip(tmp_path, size):
     """Indices, rig and plain data come back exactly, large network weights to a thousandth of a row's largest, geometry
     to half a step and skinning weights to one, the rest to half precision. Saved again, over the file, not a bit
     differs."""
-    model = random_model(np.random.default_rng(1), **SIZES[size], width=16, detail_nodes=30)
+    model = random_model(np.random.default_rng(1), **SIZES[size], width=16, detail_nodes=30, learnt_sway=True)
     model = replace(model, material=Material(youngs_modulus=33.5, contact_stiffness=1e5), name="a b")
     path = tmp_path / "new folder" / "model.safetensors"
     save_garment_model(model, path)
