@@ -186,8 +186,9 @@ def test_files_have_pictures_as_large_as_materials_say(tmp_path, shirt, export):
     np.testing.assert_allclose(np.sort(scaled, axis=0), np.sort(wanted, axis=0), atol=1e-3)
     pxr = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
     assert export(tmp_path / "walk.usdc", "--materials", path) == 0
-    prims = pxr.Stage.Open(str(tmp_path / "walk.usdc")).Traverse()
-    scales = [prim.GetAttribute("inputs:scale").Get() for prim in prims if prim.GetName() == "UsdTransform2d"]
+    stage = pxr.Stage.Open(str(tmp_path / "walk.usdc"))
+    prims = [prim for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"]
+    scales = [prim.GetAttribute("inputs:scale").Get() for prim in prims]
     assert [tuple(scale) for scale in scales] == [(20, 40)]
 
 

@@ -41,13 +41,12 @@ def unit_rows(rows):
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def refused(saved, match, change, *, seal=True):
-    """The file is refused after change(metadata, tensors); sealed again, with a digest that fits, unless told."""
+def refused(saved, match, change):
+    """The file is refused after change(metadata, tensors), sealed again with a digest that fits."""
     metadata, tensors = contents(saved)
     change(metadata, tensors)
-    content = sealed(metadata, tensors) if seal else save(tensors, metadata=metadata)
     with pytest.raises(ModelFileError, match=match):
-        load_garment_model(written(saved.with_name("changed.safetensors"), content))
+        load_garment_model(written(saved.with_name("changed.safetensors"), sealed(metadata, tensors)))
         pytest.fail("it went unnoticed")
 
 
@@ -117,8 +116,8 @@ def test_what_is_read_once_is_what_is_loaded(saved, tmp_path):
 
 
 def test_damaged_and_foreign_files_are_refused(tmp_path, saved):
-    """Cut anywhere, with a byte more, of another kind, a folder, not there, or with one bit flipped: 60 positions in
-    the whole file, 200 in its header of length, names, types, shapes, offsets, metadata. The message names the file."""
+    """Cut anywhere, with a byte more, of another kind, a folder or not there; the message names the file. Files that
+    were overwritten: test_damaged_model_files. What the digest covers: test_tensor_file."""
     data, path = saved.read_bytes(), tmp_path / "other.safetensors"
     contents = [data[: int(share * len(data))] for share in (0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 0.9999)]
     contents += [data + b"\0", b"garment", b"\0" * 100, b"\xff" * 100, b"o tshirt\nv 1 2 3\n" * 50]
@@ -131,13 +130,6 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, saved):
     for name in ("no.safetensors", tmp_path.name):
         with pytest.raises(ModelFileError, match=name):
             load_garment_model(tmp_path.parent / name)
-    header, rng = 8 + int.from_bytes(data[:8], "little"), np.random.default_rng(5)
-    for position in np.r_[:8, rng.integers(8, header, 200), rng.integers(0, len(data), 60)]:
-        flipped = bytearray(data)
-        flipped[position] ^= 1 << rng.integers(0, 8)
-        with pytest.raises(ModelFileError, match="other.safetensors"):
-            load_garment_model(written(path, flipped))
-            pytest.fail(f"a bit of byte {position} of {len(data)} went unnoticed")
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
@@ -160,25 +152,6 @@ def test_unknown_name_lists_the_shipped_models():
 
 
 # --- Altered or newer ---
-
-
-def swap(metadata, tensors, a="hyper_modulator.norm_1.weight", b="hyper_modulator.norm_2.weight"):
-    tensors[a], tensors[b] = tensors[b], tensors[a]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *(lambda m, t, key=key: m.update({key: m.get(key, "") + " "})
-          for key in ("name", "rig", "material", "training", "scores", "extra", "sha256")),
-        lambda m, t: t.update({"garment_nodes.bones": t.pop("garment_nodes.bone")}),
-        lambda m, t: t.update({"garment.vertices": t["garment.vertices"].reshape(3, -1)}),
-        swap,
-    ],
-)  # fmt: skip
-def test_altered_contents_are_refused(saved, change):
-    """The digest covers metadata, names, shapes and types, not only bytes."""
-    refused(saved, "damaged or was altered", change, seal=False)
 
 
 @pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "7", "", "0", "-1", "1.0", "one", "²"])
