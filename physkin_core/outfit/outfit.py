@@ -378,8 +378,8 @@ def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Av
         raise TypeError(
             f"garments are put on an Avatar, got {type(avatar).__name__}: garments come first, then the avatar"
         )
-    checked = [WornGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
-    for garment in checked:
-        if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
-            raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(garment).__name__}")
-    return tuple(checked)
+    for garment in garments:
+        model = garment.model if isinstance(garment, WornGarment) else garment
+        if not isinstance(model, GarmentModel):
+            raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(model).__name__}")
+    return tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in garments)

@@ -180,8 +180,11 @@ def test_other_outputs_are_refused(make, error):
 # --- Construction ---
 
 
-def test_swapped_arguments_are_refused():
+def test_other_arguments_are_refused():
+    """Swapped, or a name in place of a model."""
     _, model, avatar = scene(11)
+    with pytest.raises(TypeError, match="a GarmentModel or a WornGarment, got str"):
+        Draper("tshirt", avatar)
     with pytest.raises(TypeError, match="put on an Avatar, got GarmentModel"):
         Draper(avatar, model)
 
