@@ -109,11 +109,6 @@ class Draper:
         return self.outfit.instruction_set
 
     @property
-    def precision(self) -> Precision:
-        """See `Outfit.precision`."""
-        return self.outfit.precision
-
-    @property
     def vertex_count(self) -> int:
         """Number of points n that `drape` writes."""
         return self.layer.vertex_count

@@ -254,7 +254,7 @@ def test_precision_reaches_the_evaluator():
     rng, model, avatar = scene(41, **SIZES["tiny"])
     pose = random_pose(rng, model.rig)
     drapers = [Draper(model, avatar, precision=precision) for precision in ("fp32", "bf16", "int8")]
-    assert [draper.precision for draper in drapers] == ["fp32", "bf16", "int8"]
+    assert [draper.outfit.precision for draper in drapers] == ["fp32", "bf16", "int8"]
     exact, *rounded = [draper.drape(*pose) for draper in drapers]
     assert all(0 < np.abs(other - exact).max() < 0.1 for other in rounded) and not np.array_equal(*rounded)
 
