@@ -9,6 +9,8 @@ from physkin_core.doctor import doctor, installation
 from physkin_core.extras import EXTRAS, install_command
 from physkin_core.runtime.evaluator import supported_instruction_sets
 
+READ_MODELS = installation._models
+
 
 def found(look):
     """Findings by subject."""
@@ -17,9 +19,10 @@ def found(look):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Only what is there, without reading motions and draping a frame."""
+    """Only what is there, without reading models and motions and draping a frame."""
     monkeypatch.setattr(installation, "_frame", lambda: "draped")
-    monkeypatch.setattr(installation, "_motions", lambda: "read")
+    for files in ("_models", "_motions"):
+        monkeypatch.setattr(installation, files, lambda: "read")
     monkeypatch.setattr(doctor, "DOCTORS", {"physkin_core.doctor.installation": ()})
 
 
@@ -37,6 +40,7 @@ def test_this_installation_works(capsys, monkeypatch):
 def test_damaged_model_is_broken(quick, monkeypatch, tmp_path, capsys):
     """Its error is told with what to do, the rest is looked at all the same, and the exit status is 1."""
     (tmp_path / "tshirt.safetensors").write_bytes(b"damaged")
+    monkeypatch.setattr(installation, "_models", READ_MODELS)
     monkeypatch.setattr("physkin_core.model.model_file.MODELS_PATH", tmp_path)
     assert main(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()

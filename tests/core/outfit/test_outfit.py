@@ -112,15 +112,18 @@ def test_a_wide_skirt_does_not_cover_ankles_below_its_hem():
     assert not covered(np.zeros((1, 3)), ahead, [cloth]).any()
 
 
+def strongest_bones(avatar):
+    """Names (V,) of the bones that move vertices most."""
+    strongest = avatar.influence_weights.argmax(axis=1)
+    return np.array(avatar.bone_names)[avatar.influence_bones[np.arange(len(strongest)), strongest]]
+
+
 def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
     """Of thighs and belly much is hidden; nothing of head, hands and feet."""
     centre = avatar.vertices[avatar.faces].mean(axis=1)
     mask = over_trousers.body_mask
     assert mask.shape == (len(avatar.faces),) and 0.05 < mask.mean() < 0.5
-    bones = np.array(avatar.bone_names)[
-        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
-    ]
-    of_face = bones[avatar.faces[:, 0]]
+    of_face = strongest_bones(avatar)[avatar.faces[:, 0]]
     for part in ("head", "wrist", "foot"):
         assert not mask[np.char.find(np.char.lower(of_face), part) >= 0].any()
     assert centre[mask][:, 2].max() < centre[:, 2].max() - 0.2
@@ -134,9 +137,7 @@ def test_skin_under_cloth_is_drawn_slimmer_and_bare_skin_as_it_is(over_trousers,
     assert np.linalg.norm(moved, axis=1).max() < 6.01e-3
     hidden = np.unique(avatar.faces[over_trousers.body_mask])
     assert inwards.min() > -1e-6 and inwards[hidden].min() > 2e-3 and np.median(inwards[hidden]) > 5.99e-3
-    bones = np.array(avatar.bone_names)[
-        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
-    ]
+    bones = strongest_bones(avatar)
     for part in ("head", "wrist"):
         assert not moved[np.char.find(bones, part) >= 0].any()
     hem = over_trousers.layers[0].rest[:, 2].min()

@@ -238,17 +238,6 @@ def test_a_bound_frame_reads_its_arrays_as_they_are_now(garment_model):
         step()
 
 
-def test_drapers_do_not_share_state():
-    """Two bodies in turns: each gives what it gives alone."""
-    rng, model, first_body = scene(13)
-    second_body = random_avatar(rng, model.rig)
-    first, second, alone = (Draper(model, body) for body in (first_body, second_body, first_body))
-    for pose in [random_pose(rng, model.rig) for _ in range(4)]:
-        result = first.drape(*pose)
-        assert np.abs(second.drape(*pose) - result).max() > 1e-3
-        np.testing.assert_array_equal(result, alone.drape(*pose))
-
-
 def test_precision_reaches_the_evaluator():
     """Each gives about the same garment, and not the same numbers."""
     rng, model, avatar = scene(41, **SIZES["tiny"])
