@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core import AvatarWarning, Outfit, load_avatar, load_garment_model
+from physkin_core import AvatarWarning, Outfit, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of, install_command
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
-from physkin_core.outfit.outfit_options import add_options, chosen_garments, dressed, print_warnings, read_motion
+from physkin_core.outfit.outfit_options import add_options, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
@@ -237,11 +237,7 @@ def _drape(options: argparse.Namespace) -> int:
 
 def _bind(options: argparse.Namespace) -> int:
     check_other_file(options.output, options.avatar, *(split_fabric(name)[0] for name in options.garment or ()))
-    garments = chosen_garments(options.garment, options.tucked)
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
-    print_warnings(outfit.warnings)
-    outfit.save_bound(options.output)
+    dressed(options).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 

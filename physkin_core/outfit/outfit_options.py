@@ -136,7 +136,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
             replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
         ]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    hide_covered, own_clothes = not (for_engines or whole), options.own_clothes
+    hide_covered, own_clothes = not (for_engines or whole), getattr(options, "own_clothes", OWN_CLOTHES[0])
     outfit = Outfit(garments, avatar, fit=options.fit, hide_covered=hide_covered, own_clothes=own_clothes)
     outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
     print_warnings(outfit.warnings)
