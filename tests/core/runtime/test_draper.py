@@ -26,6 +26,7 @@ from physkin_core.model.hyper_modulator import at_fit
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.runtime import body_encoder
 from physkin_core.runtime.binding import bind_garment
+from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.runtime.garment_grading import GarmentGrading
 
 pytestmark = pytest.mark.usefixtures("exact_network_weights")
@@ -262,8 +263,8 @@ def measured():
 
 
 def test_made_to_measure_without_correctives_rests_on_the_body(measured):
-    """Plain skinning at the canonical pose is the graded garment, to the millimetres of finding the body's shape; a fit
-    between is between; 0 is the template."""
+    """Plain skinning is what networks that correct nothing leave. At the canonical pose it is the graded garment, to
+    the millimetres of finding the body's shape; a fit between is between; 0 is the template."""
     model, avatar = measured
     weight, bias = model.node_deformer[-1]
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
@@ -271,6 +272,9 @@ def test_made_to_measure_without_correctives_rests_on_the_body(measured):
     for fit in (0.0, 0.5, 1.0):
         draper = Draper(plain, avatar, fit=fit)
         drapes[fit], rests[fit] = draper.drape(model.rig.rest), draper.rest_garment.vertices
+        pose = np.random.default_rng(2).uniform(model.rig.lower, model.rig.upper).astype(np.float32)
+        skinned = plain_skinning(draper.bound, draper.bone_transforms(pose))
+        np.testing.assert_allclose(draper.drape(pose)[:, :3], skinned, atol=1e-5)
     np.testing.assert_allclose(drapes[1.0][:, :3], rests[1.0], atol=1e-5)
     np.testing.assert_allclose(drapes[0.5][:, :3], (drapes[0.0] + drapes[1.0])[:, :3] / 2, atol=1e-5)
     np.testing.assert_allclose(rests[0.0], model.garment.vertices, atol=1e-5)
