@@ -1,7 +1,5 @@
 """PhySkin run time: drape a trained garment on any avatar, on one CPU core."""
 
-from typing import TYPE_CHECKING
-
 from physkin_core.avatar.avatar import Avatar, AvatarError, AvatarWarning, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
@@ -16,7 +14,6 @@ from physkin_core.outfit.draper import Draper
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.points.splats import Splats
-from physkin_core.renamed import attribute_error
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
 from physkin_core.runtime.layer import Layer, WornGarment
@@ -63,9 +60,3 @@ __all__ = [
     "with_fabric",
     "save_garment_model",
 ]
-
-
-if not TYPE_CHECKING:  # to a type checker a name that does not exist stays one
-
-    def __getattr__(name: str):
-        raise attribute_error(__name__, name)

@@ -19,7 +19,6 @@ from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.machine import machine_line, versions_line
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
-from physkin_core.outfit.outfit_options import add_fit_option
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
@@ -54,7 +53,6 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin bench`."""
     parser = argparse.ArgumentParser(prog="physkin bench", description=__doc__.split("`: ")[1].splitlines()[0])
     parser.add_argument("model", nargs="?", default="tshirt", help="garment model (default %(default)s)")
-    add_fit_option(parser)
     parser.add_argument(
         "--rounds", type=int, default=100, metavar="N", help="rounds of 5 frames each (default %(default)s)"
     )
@@ -71,7 +69,7 @@ def main(argv: Sequence[str]) -> int:
     if options.rounds < 1:
         raise ValueError(f"--rounds must be 1 or more, got {options.rounds}")
     model, motion = load_garment_model(options.model), load_motion("walk")
-    bound = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig), fit=options.fit)
+    bound = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig))
     frame_input, middle = FrameInput(1), motion.frame_count // 2
     frame_input.fill(motion.gravity[middle])
     pose = motion.positions_for(model.rig)[middle]

@@ -9,98 +9,91 @@ import shutil
 import sys
 import textwrap
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core import AvatarWarning, Outfit, load_avatar, load_garment_model
+from physkin_core import AvatarWarning, Outfit, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of, install_command
-from physkin_core.model.model_file import convert_model_file, split_fabric
-from physkin_core.outfit.outfit_options import (
-    add_fit_option,
-    add_garment_option,
-    add_limbs_option,
-    add_own_clothes_option,
-    add_rig_option,
-    add_tucked_option,
-    chosen_garments,
-    dressed,
-    print_warnings,
-    read_motion,
-)
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.mesh_file import write_obj
+from physkin_core.model.model_file import split_fabric
+from physkin_core.outfit.outfit_options import add_options, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
-from physkin_core.renamed import check_options
 from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["main"]
 
-FORWARDED = {
-    "check": ("physkin_core.check.check", "tell how garments sit on an avatar: a verdict, figures, a picture"),
-    "export": ("physkin_core.export.export", "write a draped motion as glTF (.glb) or USD, for other tools"),
-    "render": ("physkin_core.render.render", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
-    "bind-points": (
-        "physkin_core.points.bind_points",
-        "drape another mesh, a point cloud or Gaussian splats that lie on a garment",
-    ),
-    "doctor": ("physkin_core.doctor.doctor", "check this installation, and tell what to do if something is wrong"),
-    "view": ("physkin_core.view.view", "show an avatar and its outfit live, on a page in the browser"),
-    "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
-    "demo": ("physkin_ros.tools.demo", "play a motion to the node for ten seconds, measure what comes back, draw it"),
-    "fit-garment": (
-        "physkin_training.fit_garment.fit_garment",
-        "check and train a garment of your own, and write a report",
-    ),
-    "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
-    "train-catalogue": (
-        "physkin_training.catalogue.train_catalogue",
-        "run fit-garment on every garment of a folder, on a Ray cluster",
-    ),
-    "learn-sway": (
-        "physkin_training.sway.command",
-        "teach a garment to lag, swing and settle, from simulated walkers",
-    ),
-    "bench": ("physkin_core.bench", "measure how long a frame and its stages take on this machine"),
-    "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
-    "evaluate": (
-        "physkin_training.evaluate.command",
-        "measure a garment model or outfits on bodies that training has not seen",
-    ),
-    "contact-sheet": (
-        "physkin_training.evaluate.contact_sheet",
-        "draw a garment model on a lean, an average and a stout body",
-    ),
-    "replay": (
-        "physkin_ros.replay.command",
-        "drape the joint states of a bag, and write clouds, figures and a report; needs no ROS",
-    ),
-    "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
+COMMANDS = {
+    "look at clothes on an avatar": {
+        "view": ("physkin_core.view.view", "show an avatar and its outfit live, on a page in the browser"),
+        "check": ("physkin_core.check.check", "tell how garments sit on an avatar: a verdict, figures, a picture"),
+        "render": ("physkin_core.render.render", "film a draped motion: .mp4, .gif, .webp or numbered .png"),
+        "drape": ("", "drape one frame of a motion, and write a mesh or a picture"),
+    },
+    "take them elsewhere": {
+        "export": ("physkin_core.export.export", "write a draped motion as glTF (.glb) or USD, for other tools"),
+        "bind": ("", "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)"),
+        "bind-points": (
+            "physkin_core.points.bind_points",
+            "drape another mesh, a point cloud or Gaussian splats that lie on a garment",
+        ),
+    },
+    "ROS 2": {
+        "node": ("physkin_ros.node.node_process", "run the ROS 2 node: joint states in, garment point clouds out"),
+        "demo": (
+            "physkin_ros.tools.demo",
+            "play a motion to the node for ten seconds, measure what comes back, draw it",
+        ),
+        "replay": (
+            "physkin_ros.replay.command",
+            "drape the joint states of a bag, and write clouds, figures and a report; needs no ROS",
+        ),
+        "convert": ("physkin_ros.replay.convert", "write a motion clip, BVH or AMC file as a bag of joint states"),
+    },
+    "garments of your own": {
+        "fit-garment": (
+            "physkin_training.fit_garment.fit_garment",
+            "check and train a garment of your own, and write a report",
+        ),
+        "train": ("physkin_training.train.train", "train a garment from its mesh and physics"),
+        "train-catalogue": (
+            "physkin_training.catalogue.train_catalogue",
+            "run fit-garment on every garment of a folder, on a Ray cluster",
+        ),
+        "learn-sway": (
+            "physkin_training.sway.command",
+            "teach a garment to lag, swing and settle, from simulated walkers",
+        ),
+    },
+    "measure garments": {
+        "evaluate": (
+            "physkin_training.evaluate.command",
+            "measure a garment model or outfits on bodies that training has not seen",
+        ),
+        "contact-sheet": (
+            "physkin_training.evaluate.contact_sheet",
+            "draw a garment model on a lean, an average and a stout body",
+        ),
+        "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
+        "info": ("", "show what a garment model file holds"),
+    },
+    "this installation": {
+        "doctor": ("physkin_core.doctor.doctor", "check this installation, and tell what to do if something is wrong"),
+        "bench": ("physkin_core.bench", "measure how long a frame and its stages take on this machine"),
+        "completion": ("", "print the completion script of a shell"),
+    },
 }
-"""Subcommand -> module whose `main(argv)` it calls, and what it does."""
-
-OWN = {
-    "drape": "drape one frame of a motion, and write a mesh or a picture",
-    "bind": "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)",
-    "info": "show what a garment model file holds",
-    "convert-model": "convert a garment model file of an earlier release to this one",
-    "completion": "print the completion script of a shell",
-}
-"""The other subcommands, and what they do."""
-
-GROUPS = {
-    "look at clothes on an avatar": ("view", "check", "render", "drape"),
-    "take them elsewhere": ("export", "bind", "bind-points"),
-    "ROS 2": ("node", "demo", "replay", "convert"),
-    "garments of your own": ("fit-garment", "train", "train-catalogue", "learn-sway"),
-    "measure garments": ("evaluate", "contact-sheet", "simulate", "info"),
-    "this installation": ("doctor", "bench", "convert-model", "completion"),
-}
-"""Subcommands as `physkin --help` lists them."""
+"""What for -> subcommand -> module whose `main(argv)` it calls, empty where it is one of this file, and what it
+does."""
+TEXTS = {name: text for names in COMMANDS.values() for name, (_, text) in names.items()}
+FORWARDED = {name: module for names in COMMANDS.values() for name, (module, _) in names.items() if module}
 
 DEBUG = "--debug"
 PICTURE_SIZE = (800, 1000)
@@ -129,10 +122,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    check_options(arguments)
     try:
         if arguments and arguments[0] in FORWARDED:
-            status = import_module(FORWARDED[arguments[0]][0]).main(arguments[1:]) or 0
+            status = import_module(FORWARDED[arguments[0]]).main(arguments[1:]) or 0
         else:
             options = _parser().parse_args(arguments or ["--help"])
             status = options.run(options)
@@ -162,15 +154,14 @@ class _GroupedParser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         """Text of --help."""
-        texts = OWN | {name: text for name, (_, text) in FORWARDED.items()}
-        first = 2 + max(map(len, texts)) + 2
+        first = 2 + max(map(len, TEXTS)) + 2
         wide = max(shutil.get_terminal_size().columns - 2, 2 * first)
         lines = [self.format_usage(), self.description]
-        for title, names in GROUPS.items():
+        for title, texts in COMMANDS.items():
             lines += ["", f"{title}:"]
-            for name in names:
+            for name, (_, text) in texts.items():
                 lines += textwrap.wrap(
-                    texts[name], wide, initial_indent=f"  {name}".ljust(first), subsequent_indent=" " * first
+                    text, wide, initial_indent=f"  {name}".ljust(first), subsequent_indent=" " * first
                 )
         return "\n".join(
             [
@@ -188,41 +179,33 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
     parser = _GroupedParser(prog="physkin", description="Clothes for any avatar, live, on one CPU core.")
     parser.add_argument(DEBUG, action="store_true", help="show where an error was raised")
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=argparse.ArgumentParser)
-    for name, (_, text) in FORWARDED.items():
+    for name in FORWARDED:
         parents = [forwarded[name]] if forwarded and name in forwarded else []
-        commands.add_parser(name, help=text, add_help=False, parents=parents)
+        commands.add_parser(name, help=TEXTS[name], add_help=False, parents=parents)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], *parents: argparse.ArgumentParser):
+        own = commands.add_parser(name, parents=parents, help=TEXTS[name], description=TEXTS[name])
+        own.set_defaults(run=run)
+        return own
+
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_garment_option(worn)
-    add_rig_option(worn)
-    add_fit_option(worn)
-    drape = commands.add_parser("drape", parents=[worn], help=OWN["drape"], description=OWN["drape"])
+    add_options(worn, "garment", "rig", "fit", "tucked")
+    drape = command("drape", _drape, worn)
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
         "--strip", type=int, metavar="N", help="draw N frames instead, evenly spread, from the front and the back"
     )
-    add_limbs_option(drape)
-    add_tucked_option(drape)
-    add_own_clothes_option(drape)
+    add_options(drape, "separate-limbs", "own-clothes")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
-    drape.set_defaults(run=_drape)
-    bind = commands.add_parser("bind", parents=[worn], help=OWN["bind"], description=OWN["bind"])
-    add_tucked_option(bind)
+    bind = command("bind", _bind, worn)
     bind.add_argument(
         "-o", "--output", type=Path, required=True, help="file to write, such as me.physkin (docs/c-host.md)"
     )
-    bind.set_defaults(run=_bind)
-    info = commands.add_parser("info", help=OWN["info"], description=OWN["info"])
+    info = command("info", _info)
     info.add_argument("model", help="garment model file, or the name of a shipped one")
-    info.set_defaults(run=_info)
-    convert = commands.add_parser("convert-model", help=OWN["convert-model"], description=OWN["convert-model"])
-    convert.add_argument("old", type=Path, metavar="OLD", help="garment model file of an earlier release")
-    convert.add_argument("-o", "--output", type=Path, required=True, metavar="NEW", help="garment model file to write")
-    convert.set_defaults(run=_convert_model)
-    completion = commands.add_parser("completion", help=OWN["completion"], description=OWN["completion"])
-    completion.add_argument("shell", choices=SHELLS)
-    completion.set_defaults(run=_complete)
+    command("completion", _complete).add_argument("shell", choices=SHELLS)
     return parser
 
 
@@ -254,26 +237,20 @@ def _drape(options: argparse.Namespace) -> int:
 
 def _bind(options: argparse.Namespace) -> int:
     check_other_file(options.output, options.avatar, *(split_fabric(name)[0] for name in options.garment or ()))
-    garments = chosen_garments(options.garment, options.tucked)
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    outfit = Outfit(garments, avatar, fit=options.fit)
-    print_warnings(outfit.warnings)
-    outfit.save_bound(options.output)
+    dressed(options).save_bound(options.output)
     print(f"wrote {options.output}: {options.output.stat().st_size / 1e6:.1f} MB")
     return 0
 
 
 def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]) -> None:
     """A Wavefront OBJ with the object `body` and one a garment, metres, Z up. One garment is called `garment`."""
+    from trimesh.util import append_faces
+
     names = [layer.name for layer in outfit.layers] if len(cloth) > 1 else ["garment"]
-    first = 1
-    with open(path, "w", encoding="ascii", errors="replace") as file:
-        faces_of = [outfit.body_to_draw.faces, *(layer.faces for layer in outfit.layers)]
-        for name, points, faces in zip(["body", *names], [body, *cloth], faces_of):
-            file.write(f"o {name}\n")
-            file.writelines(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points[:, :3].tolist())
-            file.writelines(f"f {a} {b} {c}\n" for a, b, c in (first + faces).tolist())
-            first += len(points)
+    faces = [outfit.body_to_draw.faces, *(layer.faces for layer in outfit.layers)]
+    part = np.repeat(np.arange(len(faces)), list(map(len, faces)))
+    look = replace(Look.plain(len(part)), part=part, parts=("body", *names))
+    write_obj(path, *append_faces([body, *(cloud[:, :3] for cloud in cloth)], faces), look, header="PhySkin")
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -303,15 +280,9 @@ def _info(options: argparse.Namespace) -> int:
     return 0
 
 
-def _convert_model(options: argparse.Namespace) -> int:
-    convert_model_file(options.old, options.output)
-    print(f"wrote {options.output}")
-    return 0
-
-
 def _complete(options: argparse.Namespace) -> int:
     parsers = {}
-    for name, (module, _) in FORWARDED.items():
+    for name, module in FORWARDED.items():
         try:
             command = import_module(module)
             if hasattr(command, "command_parser"):

@@ -147,13 +147,8 @@ def listed(names: Collection[object], most: int = LISTED) -> str:
     return ", ".join(map(shown, islice(names, most))) + more
 
 
-def _representation() -> reprlib.Repr:
-    representation = reprlib.Repr()
-    representation.maxstring = representation.maxother = representation.maxlong = LONGEST_VALUE
-    return representation
-
-
-_REPR = _representation()
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = LONGEST_VALUE
 
 
 def _open_at_once(path: str, flags: int) -> int:

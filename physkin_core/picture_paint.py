@@ -79,16 +79,11 @@ def _doubled(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 def _looked_up(surface: Surface, places: np.ndarray, pixel: float) -> np.ndarray:
     """(q, 4) colour and opacity of the material's picture at places (q, 2), between its four pixels there."""
+    from scipy.ndimage import map_coordinates
+
     image = colours_seen(surface.picture, surface.repeats, pixel)
     height, width = image.shape[:2]
     x = places[:, 0] * surface.repeats[0] * width - 0.5
     y = (1 - places[:, 1] * surface.repeats[1]) * height - 0.5
-    left, upper = np.floor(x).astype(int), np.floor(y).astype(int)
-    tx, ty = (x - left)[:, None], (y - upper)[:, None]
-
-    def at(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        return image[row % height, column % width]
-
-    above = at(upper, left) * (1 - tx) + at(upper, left + 1) * tx
-    below = at(upper + 1, left) * (1 - tx) + at(upper + 1, left + 1) * tx
-    return above * (1 - ty) + below * ty
+    channels = np.moveaxis(image, -1, 0)
+    return np.stack([map_coordinates(each, [y, x], order=1, mode="grid-wrap") for each in channels], axis=1)

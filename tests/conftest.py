@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import signal
+from functools import cache
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from random_models import random_hyper_modulator
 
-from physkin_core import Garment, GarmentModel, load_body_model, load_garment_model, save_garment_model
+from physkin_core import (
+    BUNDLED_AVATAR,
+    Garment,
+    GarmentModel,
+    Outfit,
+    WornGarment,
+    load_avatar,
+    load_body_model,
+    load_garment_model,
+    save_garment_model,
+)
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.mlp import modulation_size
@@ -40,6 +51,25 @@ def asset_loader():
     loader = AssetLoader()
     yield loader
     loader.close()
+
+
+@pytest.fixture(scope="session")
+def shipped():
+    """Shipped garment models by name, each read once."""
+    return cache(load_garment_model)
+
+
+@pytest.fixture(scope="session")
+def worn(shipped):
+    """Outfits of shipped garments on the bundled avatar, by name, from the skin outwards, each bound once. tucked: the
+    name of one that is tucked in. options: of `Outfit`. Who asks gets a twin, with frames of its own."""
+
+    @cache
+    def bound(names: tuple[str, ...], tucked: str, options: frozenset) -> Outfit:
+        garments = [WornGarment(shipped(name), tucked=name == tucked) for name in names]
+        return Outfit(garments, load_avatar(BUNDLED_AVATAR, garments[0].model.rig), **dict(options))
+
+    return lambda *names, tucked="", **options: bound(names, tucked, frozenset(options.items())).twin()
 
 
 @pytest.fixture(scope="session")

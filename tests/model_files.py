@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import save
 
-from physkin_core.file_reading import ContentError
 from physkin_core.model import model_file
-from physkin_core.tensor_file import DIGEST, content_digest, read_tensors
+from physkin_core.runtime.bound_file import save_bound_outfit
+from physkin_core.tensor_file import DIGEST, content_digest
 
 
 def contents(path) -> tuple[dict, dict]:
@@ -42,13 +42,6 @@ def edited_header(content: bytes, change) -> bytes:
     return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
-def resealed(content: bytes) -> bytes:
-    """The file with a digest that fits again; as it is where there is none, or it cannot be read at all."""
-    try:
-        digest = content_digest(*read_tensors(content))
-    except ContentError:
-        return content
-    return edited_header(
-        content,
-        lambda header: header["__metadata__"].update({DIGEST: digest} if DIGEST in header["__metadata__"] else {}),
-    )
+def save_bound_garment(bound, path, *, name, joint_names, fabrics=("as bound",)) -> None:
+    """Write a bound garment of its own."""
+    save_bound_outfit([bound], path, names=[name], joint_names=joint_names, fabrics=[fabrics])

@@ -16,28 +16,12 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 
-TINY = dict(bones=4, dofs=5, nodes=6, influences=3)
-DEFAULT_RIG = dict(
-    bones=36,
-    dofs=52,
-    nodes=128,
-    influences=8,
-    rings=36,
-    segments=30,
-    pose_widths=(512,) * 4,
-    deformer_widths=(128,) * 4,
-)
-PAPER = dict(
-    bones=128,
-    dofs=117,
-    nodes=128,
-    influences=8,
-    rings=30,
-    segments=24,
-    pose_widths=(512,) * 4,
-    deformer_widths=(128,) * 4,
-)
-SIZES = {"tiny": TINY, "default rig": DEFAULT_RIG, "paper": PAPER}
+NETWORKS = dict(nodes=128, influences=8, pose_widths=(512,) * 4, deformer_widths=(128,) * 4)
+SIZES = {
+    "tiny": dict(bones=4, dofs=5, nodes=6, influences=3),
+    "default rig": dict(bones=36, dofs=52, rings=36, segments=30, **NETWORKS),
+    "paper": dict(bones=128, dofs=117, rings=30, segments=24, **NETWORKS),
+}
 """Arguments of `random_model`; "paper" has 128 bones and a pose vector of 120."""
 
 

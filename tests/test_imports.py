@@ -3,23 +3,17 @@
 import subprocess
 import sys
 
-import pytest
-
 HEAVY = ("torch", "warp", "rclpy", "trimesh", "pygltflib")
+QUICK = "physkin_core.cli"  # what every command waits for; scipy would be half of it
+MODULES = ("physkin_core.bench", "physkin_core.runtime.evaluator", "physkin_training.config")
 
 
-MODULES = ("physkin_core", "physkin_core.runtime.evaluator", "physkin_core.cli", "physkin_core.bench")
-MODULES += ("physkin_training.config",)  # reading a configuration needs no torch
-QUICK = ("physkin_core", "physkin_core.cli")  # what every command waits for; scipy would be half of it
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_import_loads_no_heavy_package(module, tmp_path):
-    code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+def test_imports_load_no_heavy_package(tmp_path):
+    """Neither the command and all that it imports, nor then what benchmarks and configurations need."""
+    report = "print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    code = f"import sys, {QUICK}; {report}; import {', '.join(MODULES)}; {report}"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    loaded = set(result.stdout.split())
-    assert "physkin_core" in loaded
-    assert loaded.isdisjoint(HEAVY), loaded & set(HEAVY)
-    if module in QUICK:
-        assert "scipy" not in loaded
+    quick, all_of_them = (set(line.split()) for line in result.stdout.splitlines())
+    assert "physkin_core" in quick and quick.isdisjoint((*HEAVY, "scipy"))
+    assert all_of_them.isdisjoint(HEAVY), all_of_them & set(HEAVY)

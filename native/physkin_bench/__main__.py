@@ -27,7 +27,7 @@ def main(argv: Sequence[str]) -> int:
         parser.error(f"rounds must be 1 or more, got {options.rounds}")
     keys = {"machine": machine_line(), "versions": versions_line(*PACKAGES)}
     print("\n".join(f"{key}: {value}" for key, value in keys.items()) + "\n")
-    cases = [("", lambda: model_case(options.model, fit=options.fit))]
+    cases = [("", lambda: model_case(options.model))]
     cases += [] if options.no_paper else [("paper.", paper_case)]
     for prefix, make in cases:
         figures = measure_case(make(), rounds=options.rounds)

@@ -20,7 +20,7 @@ import numpy as np
 
 from physkin_core import load_garment_model
 from physkin_core.machine import machine_line, versions_line
-from physkin_core.outfit.outfit_options import add_fit_option, add_garment_option
+from physkin_core.outfit.outfit_options import add_options
 from physkin_ros.arguments import file_to_write, positive, whole_number
 from physkin_ros.middleware.transport import private_environment
 from physkin_ros.tools.children import ChildFailedError, Children
@@ -148,8 +148,7 @@ def command_parser() -> argparse.ArgumentParser:
     """The options."""
     parser = argparse.ArgumentParser(prog="python -m physkin_bench.ros_bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
-    add_garment_option(parser, "dress")
-    add_fit_option(parser)
+    add_options(parser, "garment", "fit", worn="dress")
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")
     parser.add_argument(
         "--cases",

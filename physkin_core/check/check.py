@@ -18,16 +18,7 @@ from physkin_core.check.likeness import body_overlap, likeness
 from physkin_core.check.sight import hole_percent
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import (
-    add_fit_option,
-    add_garment_option,
-    add_limbs_option,
-    add_own_clothes_option,
-    add_rig_option,
-    add_tucked_option,
-    chosen_garments,
-    print_warnings,
-)
+from physkin_core.outfit.outfit_options import add_options, chosen_garments, print_warnings
 from physkin_core.output_file import check_folder
 from physkin_core.separation.limb_separator import bind_limbs
 
@@ -42,12 +33,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin check`."""
     parser = argparse.ArgumentParser(prog="physkin check", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_garment_option(parser)
-    add_tucked_option(parser)
-    add_own_clothes_option(parser)
-    add_rig_option(parser)
-    add_fit_option(parser)
-    add_limbs_option(parser)
+    add_options(parser, "garment", "tucked", "own-clothes", "rig", "fit", "separate-limbs")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PNG", help="picture of four everyday poses, from the front and the back"

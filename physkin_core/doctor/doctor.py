@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Literal
@@ -34,26 +33,19 @@ class Finding:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin doctor`."""
-    parser = argparse.ArgumentParser(prog="physkin doctor", description=__doc__.split("`: ")[1])
-    parser.add_argument("--json", action="store_true", help="findings as a JSON list, for bug reports and scripts")
-    return parser
+    return argparse.ArgumentParser(prog="physkin doctor", description=__doc__.split("`: ")[1])
 
 
 def main(argv: list[str]) -> int:
     """Command line. Returns 0, or 1 where something is broken."""
-    options = command_parser().parse_args(argv)
-    findings = []
+    command_parser().parse_args(argv)
+    broken = 0
     for finding in _findings():
-        findings.append(finding)
-        if not options.json:
-            print(f"{finding.state:<6}  {finding.subject:<15} {finding.found}", flush=True)
-            if finding.remedy:
-                print(f"{'':24}-> {finding.remedy}", flush=True)
-    broken = sum(finding.state == "broken" for finding in findings)
-    if options.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=1))
-    else:
-        print(f"\n{broken} broken" if broken else "\neverything that is installed works")
+        broken += finding.state == "broken"
+        print(f"{finding.state:<6}  {finding.subject:<15} {finding.found}", flush=True)
+        if finding.remedy:
+            print(f"{'':24}-> {finding.remedy}", flush=True)
+    print(f"\n{broken} broken" if broken else "\neverything that is installed works")
     return 1 if broken else 0
 
 

@@ -9,12 +9,14 @@ Dimensions: `T` frames, `j` joints.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 __all__ = ["JointChains", "as_joint_chains"]
+
+TURNS = Rotation.create_group("O").as_matrix().round()
+"""(24, 3, 3) rotations that carry the axes to axes: other names of the same stretch."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,9 @@ def as_joint_chains(transforms: np.ndarray) -> JointChains:
     stretch[mirrors, 2] *= -1
     axes = np.swapaxes(right, -1, -2).copy()
     rotation = left @ right
-    turns = _turns_of_a_cube()
     for frame in range(1, len(axes)):
-        match = np.einsum("jab,kbc,jac->jk", axes[frame], turns, axes[frame - 1])
-        best = turns[match.argmax(axis=1)]
+        match = np.einsum("jab,kbc,jac->jk", axes[frame], TURNS, axes[frame - 1])
+        best = TURNS[match.argmax(axis=1)]
         axes[frame] = axes[frame] @ best
         stretch[frame] = np.einsum("jb,jbc->jc", stretch[frame], np.abs(best))
     return JointChains(
@@ -56,16 +57,6 @@ def as_joint_chains(transforms: np.ndarray) -> JointChains:
         scale=stretch,
         inner_rotation=_quaternions(np.swapaxes(axes, -1, -2)),
     )
-
-
-def _turns_of_a_cube() -> np.ndarray:
-    """(24, 3, 3) rotations that carry the axes to axes: other names of the same stretch."""
-    found = []
-    for order, signs in product(permutations(range(3)), product((-1.0, 1.0), repeat=3)):
-        matrix = np.eye(3)[list(order)] * signs
-        if np.linalg.det(matrix) > 0:
-            found.append(matrix)
-    return np.array(found)
 
 
 def _quaternions(matrices: np.ndarray) -> np.ndarray:

@@ -18,14 +18,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import (
-    add_outfit_options,
-    add_sway_option,
-    add_wind_option,
-    dressed,
-    print_warnings,
-    read_motion,
-)
+from physkin_core.outfit.outfit_options import add_options, add_outfit_options, dressed, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
 
@@ -41,8 +34,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
-    add_sway_option(parser)
-    add_wind_option(parser)
+    add_options(parser, "sway", "wind")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
         "--materials",

@@ -9,7 +9,7 @@ Dimensions: `T` frames, `b` bones, `m` garment nodes, `v` vertices of a mesh, `j
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +18,15 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
-from physkin_core.export.gltf_materials import GltfMaterials
+from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, strongest_influences, write_glb
+from physkin_core.export.gltf_scene import GltfScene, in_gltf_frame
 from physkin_core.export.morph_targets import MorphTargets
 from physkin_core.look.cloth_look import ClothLook, cloth_colours
 from physkin_core.look.finishing import Finish
 from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Surface, linear, split_at_seams, surfaces_of
+from physkin_core.mesh.surfaces import Surface, linear, surfaces_of
 from physkin_core.model.garment import vertex_normals
+from physkin_core.model.skinning import unit
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.picture import BODY_COLOUR
@@ -100,67 +101,24 @@ def _finishes(look: Look | None, garment: DrapedGarment, layer: Layer) -> list[t
     return [each for each in found if len(each[0].faces)]
 
 
-@dataclass(frozen=True)
-class _Skinned:
-    """A mesh as it is skinned. positions, normals: (v, 3) where joints (j,) are at `rest` (j, 3). influences: as of
-    `strongest_influences`. morphs: of its vertices."""
-
-    positions: np.ndarray
-    normals: np.ndarray
-    influences: tuple[np.ndarray, np.ndarray]
-    faces: np.ndarray
-    joints: Sequence[int]
-    rest: np.ndarray
-    morphs: MorphTargets | None = None
-
-    def finished(self, finish: Finish) -> _Skinned:
-        """A finish of it, skinned alike. What is turned up looks the other way."""
-        side = np.where(finish.above < 0, -1.0, 1.0)[:, None]
-        found = self.of_vertices(finish.vertices, finish.faces)
-        morphs = found.morphs
-        if morphs is not None and morphs.turns is not None:
-            morphs = replace(morphs, turns=morphs.turns * side[morphs.moved])
-        positions = finish.placed(self.positions, self.normals)
-        return replace(found, positions=positions, normals=found.normals * side, morphs=morphs)
-
-    def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> _Skinned:
-        """The same with vertices (w,) of these, some repeated; faces (f, 3) of them."""
-        return replace(
-            self,
-            positions=self.positions[vertices],
-            normals=self.normals[vertices],
-            influences=(self.influences[0][vertices], self.influences[1][vertices]),
-            faces=faces,
-            morphs=None if self.morphs is None else self.morphs.of_vertices(vertices),
-        )
-
-
-class _Scene:
-    """A glTF document with one animation while it grows. Arrays come in our root frame. name: of the animation. times:
-    (T,) [s]."""
+class _Scene(GltfScene):
+    """A scene with one animation. name: of the animation. times: (T,) [s]."""
 
     def __init__(self, name: str, times: np.ndarray) -> None:
-        self.builder = GltfBuilder({"generator": "PhySkin"})
-        self._nodes, self._meshes, self._skins, self._channels, self._samplers = ([] for _ in range(5))
-        self._materials = GltfMaterials(self.builder)
-        self._roots: list[int] = []
-        self.builder.document |= {
-            "scene": 0,
-            "scenes": [{"nodes": self._roots}],
-            "nodes": self._nodes,
-            "meshes": self._meshes,
-            "skins": self._skins,
-            "animations": [{"name": name, "channels": self._channels, "samplers": self._samplers}],
-        }
+        super().__init__()
+        self._channels: list[dict] = []
+        self._samplers: list[dict] = []
+        animation = {"name": name, "channels": self._channels, "samplers": self._samplers}
+        self.builder.document["animations"] = [animation]
         self._times = self.builder.add_accessor(times.astype(np.float32))
         span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
         self.builder.document["accessors"][self._times] |= span
 
     def add_root(self, **paths: np.ndarray) -> int:
         """What all else hangs on. paths: translation (T, 1, 3) [m] and rotation (T, 1, 4)."""
-        self._roots.append(len(self._nodes))
+        self.roots.append(len(self.nodes))
         self._add_joints(["root"], parent=None, **paths)
-        return self._roots[-1]
+        return self.roots[-1]
 
     def add_avatar(
         self, avatar: Avatar, rig: Rig, bones: np.ndarray, shown: np.ndarray, root: int, look: Look | None
@@ -170,7 +128,7 @@ class _Scene:
         heads = avatar.bone_heads.astype(np.float64)
         turned = bones[..., :3].astype(np.float64)
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
-        first = len(self._nodes)
+        first = len(self.nodes)
         for bone, (name, parent) in enumerate(zip(rig.bone_names, rig.parents)):
             rotation, place, rest = turned[:, bone], posed[:, bone], heads[bone]
             if parent >= 0:
@@ -184,15 +142,12 @@ class _Scene:
                 translation=place[:, None],
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
             )
-        mesh = _Skinned(
-            avatar.vertices,
-            vertex_normals(avatar.vertices, avatar.faces),
-            strongest_influences(avatar.influence_bones, avatar.influence_weights),
-            avatar.faces[shown],
-            joints=range(first, first + len(heads)),
-            rest=heads,
-        )
-        self._add_mesh("body", mesh, look, surfaces_of(look, "body", linear(BODY_COLOUR), len(mesh.faces)))
+        cloud = np.concatenate([avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)], axis=1)
+        skin = self.add_skin("body", range(first, first + len(heads)), heads)
+        joints, weights = strongest_influences(avatar.influence_bones, avatar.influence_weights)
+        influences, faces = {"JOINTS_0": joints, "WEIGHTS_0": weights}, avatar.faces[shown]
+        surfaces = surfaces_of(look, "body", linear(BODY_COLOUR), len(faces))
+        self.add_mesh("body", cloud, faces, look, surfaces, attributes=influences, skin=skin)
 
     def add_garment(
         self,
@@ -212,25 +167,22 @@ class _Scene:
         for k, (each, joint) in enumerate(zip(names, outer)):
             turn = chains.inner_rotation[:, [k]]
             inner += self._add_joints([f"{each}_inner"], parent=joint, rest=np.zeros((1, 3)), rotation=turn)
-        mesh = _Skinned(
-            bound.vertices,
-            bound.normals,
-            strongest_influences(bound.influence_nodes, bound.influence_weights),
-            bound.faces,
-            inner,
-            bound.node_rest,
-            garment.morphs if len(garment.morphs.targets) else None,
-        )
-        skin = self._add_mesh(name, mesh, look, surfaces_of(look, name, linear(colour), len(mesh.faces)))
+        skin = self.add_skin(name, inner, bound.node_rest)
+        joints, weights = strongest_influences(bound.influence_nodes, bound.influence_weights)
+        cloud = np.concatenate([bound.vertices, unit(bound.normals)], axis=1)
+        morphs = garment.morphs if len(garment.morphs.targets) else None
+        surfaces = surfaces_of(look, name, linear(colour), len(bound.faces))
+        meshes = [(name, cloud, bound.faces, look, surfaces, np.arange(len(cloud)), morphs)]
         for k, (finish, surface) in enumerate(finishes):
-            whole = replace(surface, faces=np.arange(len(finish.faces)))
-            places = Look.with_places(finish.places)
-            self._add_mesh(f"{name}_finish_{k}", mesh.finished(finish), places, [whole], skin)
-
-    def finished(self) -> GltfBuilder:
-        """The document, whole."""
-        self._materials.finish()
-        return self.builder
+            whole, places = replace(surface, faces=np.arange(len(finish.faces))), Look.with_places(finish.places)
+            own = None if morphs is None else _finished(morphs, finish)
+            finished = f"{name}_finish_{k}", finish.on(cloud), finish.faces, places, [whole], finish.vertices, own
+            meshes.append(finished)
+        for *mesh, vertices, changes in meshes:
+            influences = {"JOINTS_0": joints[vertices], "WEIGHTS_0": weights[vertices]}
+            self.add_mesh(*mesh, attributes=influences, morphs=changes, skin=skin)
+            if changes is not None:
+                self._animate(len(self.nodes) - 1, "weights", changes.weights.astype(np.float32).reshape(-1))
 
     def _add_joints(
         self, names: Sequence[str], *, parent: int | None, rest: np.ndarray | None = None, **paths: np.ndarray
@@ -241,78 +193,38 @@ class _Scene:
         Blender skins a mesh to the joints at rest and from there to the motion. That is the same as at once only if
         they rest where the mesh was bound.
         """
-        first = len(self._nodes)
+        first = len(self.nodes)
         for joint, name in enumerate(names):
             node: dict = {"name": name}
             if rest is not None:
-                node["translation"] = _in_gltf_frame("translation", rest[[joint]])[0].tolist()
+                node["translation"] = _moved_in_gltf_frame("translation", rest[[joint]])[0].tolist()
             for path, values in paths.items():
-                moved = _in_gltf_frame(path, values[:, joint])
+                moved = _moved_in_gltf_frame(path, values[:, joint])
                 if rest is None:
                     node[path] = moved[0].tolist()
-                self._animate(len(self._nodes), path, moved)
+                self._animate(len(self.nodes), path, moved)
             if parent is not None:
-                self._nodes[parent].setdefault("children", []).append(len(self._nodes))
-            self._nodes.append(node)
-        return list(range(first, len(self._nodes)))
+                self.nodes[parent].setdefault("children", []).append(len(self.nodes))
+            self.nodes.append(node)
+        return list(range(first, len(self.nodes)))
 
     def _animate(self, node: int, path: str, values: np.ndarray) -> None:
         """values: float32, those of each frame after those of the last."""
         self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
         self._samplers.append({"input": self._times, "output": self.builder.add_accessor(values)})
 
-    def _add_mesh(
-        self, name: str, mesh: _Skinned, look: Look | None, surfaces: Sequence[Surface], skin: int | None = None
-    ) -> int:
-        """A mesh by its materials, its skin, or that of another on the same joints, and the scene's node that has both.
-        Returns the skin's index."""
-        add, attributes = self.builder.add_accessor, {}
-        if look is not None:
-            own, places, faces = split_at_seams(look, mesh.faces)
-            mesh = mesh.of_vertices(own, faces)
-            attributes["TEXCOORD_0"] = add((places * [1, -1] + [0, 1]).astype(np.float32))
-        normals = mesh.normals / np.linalg.norm(mesh.normals, axis=1, keepdims=True)
-        attributes |= {
-            "POSITION": add((mesh.positions @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "NORMAL": add((normals @ FROM_ROOT_FRAME.T).astype(np.float32)),
-            "JOINTS_0": add(mesh.influences[0]),
-            "WEIGHTS_0": add(mesh.influences[1], normalized=True),
-        }
-        targets = {} if mesh.morphs is None else {"targets": self._add_targets(mesh.morphs, len(mesh.positions))}
-        primitives = []
-        for surface in surfaces:
-            indices = self.builder.add_accessor(mesh.faces[surface.faces].astype(np.uint32).reshape(-1))
-            material = self._materials.add(surface)
-            primitives.append({"attributes": attributes, "indices": indices, "material": material, **targets})
-        if skin is None:
-            bind = np.tile(np.eye(4), (len(mesh.rest), 1, 1))
-            bind[:, :3, 3] = -mesh.rest @ FROM_ROOT_FRAME.T
-            inverse = self.builder.add_accessor(bind.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
-            self._skins.append({"name": name, "joints": list(mesh.joints), "inverseBindMatrices": inverse})
-            skin = len(self._skins) - 1
-        self._meshes.append({"name": name, "primitives": primitives})
-        self._roots.append(len(self._nodes))
-        self._nodes.append({"name": name, "mesh": len(self._meshes) - 1, "skin": skin})
-        if mesh.morphs is not None:
-            kind = "order" if mesh.morphs.turns is None else "fold"
-            names = [f"{kind}_{k}" for k in range(len(mesh.morphs.targets))]
-            self._meshes[-1] |= {"weights": mesh.morphs.resting.tolist(), "extras": {"targetNames": names}}
-            self._animate(len(self._nodes) - 1, "weights", mesh.morphs.weights.astype(np.float32).reshape(-1))
-        return skin
 
-    def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
-        """Of a mesh of so many vertices."""
-        changes = {"POSITION": morphs.targets, "NORMAL": morphs.turns}
-        targets: list[dict[str, int]] = [{} for _ in morphs.targets]
-        for name, values in changes.items():
-            for target, each in zip(targets, () if values is None else values @ FROM_ROOT_FRAME.T):
-                target[name] = self.builder.add_sparse_accessor(morphs.moved, each.astype(np.float32), count)
-        return targets
+def _finished(morphs: MorphTargets, finish: Finish) -> MorphTargets:
+    """The morph targets of a finish on a garment. What is turned up looks the other way."""
+    found = morphs.of_vertices(finish.vertices)
+    if found.turns is None:
+        return found
+    return replace(found, turns=found.turns * np.where(finish.above < 0, -1.0, 1.0)[found.moved, None])
 
 
-def _in_gltf_frame(path: str, values: np.ndarray) -> np.ndarray:
+def _moved_in_gltf_frame(path: str, values: np.ndarray) -> np.ndarray:
     """Translations, rotations or scales (T, width) of the root frame in glTF's, float32."""
     if path == "rotation":
         turned = np.concatenate([values[:, :3] @ FROM_ROOT_FRAME.T, values[:, 3:]], axis=1)
         return (turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32)
-    return (values @ FROM_ROOT_FRAME.T).astype(np.float32)
+    return in_gltf_frame(values)

@@ -183,19 +183,17 @@ def with_fabric(model: GarmentModel, fabric: Fabric | str) -> GarmentModel:
     stretch = fabric.stretch / material.youngs_modulus
     heavier = fabric.density / material.density / stretch
     stiffer = fabric.bend / material.bending / stretch
-    if not LIGHTEST * 0.999 <= heavier <= HEAVIEST * 1.001:
-        allowed = " to ".join(f"{times * stretch * material.density:.3g}" for times in (LIGHTEST, HEAVIEST))
-        raise ValueError(
-            f"density {fabric.density:g} kg/m2 at stretch {fabric.stretch:g} N/m is not what {model.name!r} has "
-            f"learnt, allowed: {allowed} kg/m2"
-        )
     least, most = (2.0**octave for octave in model.bending_octaves)
-    if not least * 0.999 <= stiffer <= most * 1.001:
-        allowed = " to ".join(f"{times * stretch * material.bending:.2g}" for times in (least, most))
-        raise ValueError(
-            f"bend {fabric.bend:g} J at stretch {fabric.stretch:g} N/m is not what {model.name!r} has learnt, "
-            f"allowed: {allowed} J"
-        )
+    for named, unit, own, times, limits in (
+        (f"density {fabric.density:g}", "kg/m2", material.density, heavier, (LIGHTEST, HEAVIEST)),
+        (f"bend {fabric.bend:g}", "J", material.bending, stiffer, (least, most)),
+    ):
+        if not limits[0] * 0.999 <= times <= limits[1] * 1.001:
+            allowed = " to ".join(f"{limit * stretch * own:.3g}" for limit in limits)
+            raise ValueError(
+                f"{named} {unit} at stretch {fabric.stretch:g} N/m is not what {model.name!r} has learnt, "
+                f"allowed: {allowed} {unit}"
+            )
     weight, bias = model.pose_modulator[0]
     weight = weight.copy()
     weight[:, -3:] *= np.float32(heavier)

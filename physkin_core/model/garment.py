@@ -26,7 +26,6 @@ from physkin_core.model.rest_shape import (
     side_lengths,
     turned_edges,
 )
-from physkin_core.renamed import refuse_old_names
 
 __all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
 
@@ -71,7 +70,6 @@ def surface_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
     return None
 
 
-@refuse_old_names
 @dataclass(frozen=True, eq=False)
 class Garment:
     """A triangle mesh in canonical space with its shape at rest: lengths, areas and hinges.

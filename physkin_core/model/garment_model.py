@@ -170,8 +170,9 @@ class GarmentModel(SkinnedGarment):
             joints = self.sway.joints.size
             sizes |= {"drive": drive_size(joints), "pose": pose_size(joints)}
         if self.detail is not None:
-            sizes["deformer_width"] = self.node_deformer[-1][0].shape[1]
-            sizes["detail_nodes"] = len(self.detail.offsets) // 3
+            last = self.node_deformer[-1][0].shape if self.node_deformer else ()  # whatever it is: checked below
+            sizes["deformer_width"] = math.prod(last[1:])
+            sizes["detail_nodes"] = math.prod(self.detail.offsets.shape[:1]) // 3
         check_arrays(self, sizes)
         _check_octaves(self.training.get("bending_octaves", BENDING_OCTAVES))
         if (width := len(self.hyper_modulator["fit"])) % HEADS:

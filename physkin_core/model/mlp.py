@@ -16,7 +16,6 @@ __all__ = [
     "Layer",
     "float32_layers",
     "fold_modulation",
-    "layer_inputs",
     "modulation_over",
     "modulation_size",
     "silu",
@@ -50,21 +49,6 @@ def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tu
         parts.append((modulation[..., start : start + width], modulation[..., start + width : start + 2 * width]))
         start += 2 * width
     return parts
-
-
-def layer_inputs(layers: Sequence[Layer], x: np.ndarray, modulation: np.ndarray | None) -> list[np.ndarray]:
-    """What each layer of a network reads (..., width), the first x (..., in) itself, and then what the last gives.
-
-    Hidden layers are modulated, then activated, the last is linear. modulation: (..., `modulation_size`), None for
-    layers into which it is folded.
-    """
-    if modulation is None:
-        modulation = np.zeros(modulation_size(layers))
-    values = [x]
-    for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True):
-        values.append(silu((1 + scale) * (values[-1] @ weight.T + bias) + shift))
-    weight, bias = layers[-1]
-    return [*values, values[-1] @ weight.T + bias]
 
 
 def fold_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> tuple[Layer, ...]:

@@ -31,7 +31,6 @@ from physkin_core.tensor_file import DIGEST, content_digest, read_tensors, write
 __all__ = [
     "SCHEMA_VERSION",
     "ModelFileError",
-    "convert_model_file",
     "load_garment_model",
     "model_content",
     "save_garment_model",
@@ -41,13 +40,11 @@ __all__ = [
 
 FORMAT = "physkin-garment"
 SCHEMA_VERSION = 8
-UNSAID_BEFORE = {"material": {"rest_angles": "as_made"}, "training": {"bending_octaves": (-2, 4)}}
-"""What a file of an earlier version that does not say so was trained as: there was no choice yet."""
 LEAST_PACKED = 2**15
 """Network weights of so many numbers or more are packed, and those that lie on steps. Smaller ones take little space;
 among them is the pose modulator's first layer, whose rounding can move single vertices by almost a millimetre."""
 TEXTS = ("rig", "material", "training", "scores")
-"""Told as plain data in JSON, in tensors of bytes NAME.json; before version 8 in the metadata."""
+"""Plain data in JSON, in tensors of bytes NAME.json."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
 
@@ -82,8 +79,7 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
         metadata, tensors = _contents(path, read_bytes(path) if content is None else content)
         version = int(metadata["schema_version"])
         if version != SCHEMA_VERSION:
-            older = version < SCHEMA_VERSION
-            remedy = f"convert it: physkin convert-model {path} -o NEW{MODEL_SUFFIX}" if older else "update PhySkin"
+            remedy = "train it anew" if version < SCHEMA_VERSION else "update PhySkin"
             raise ModelFileError(
                 f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
             )
@@ -187,50 +183,13 @@ def save_garment_model(model: GarmentModel, path: str | Path) -> None:
     tensors: dict[str, np.ndarray] = {}
     for name, array, kind in described_arrays(replace(model, rest_normals=normals)):
         tensors |= _stored(name, array, kind)
-    metadata = {
-        "format": FORMAT,
-        "name": model.name,
-        "rig": json.dumps(model.rig.to_json()),
-        "material": json.dumps(asdict(model.material)),
-        "training": json.dumps(dict(model.training)),
-        "scores": json.dumps(dict(model.scores)),
-    }
-    _write(Path(path), metadata, tensors)
-
-
-def convert_model_file(old: str | Path, new: str | Path) -> None:
-    """Write a model file of an earlier schema version as `new`, with the same tensors bit for bit, and what it was
-    trained as where it does not say so.
-
-    Raises ModelFileError, and writes nothing, when `old` cannot be read, needs no conversion, or its model lacks what
-    all models of this schema version have.
-    """
-    old = Path(old)
-    with reading(f"garment model {old}", ModelFileError):
-        metadata, tensors = _contents(old, read_bytes(old))
-    if (version := int(metadata["schema_version"])) >= SCHEMA_VERSION:
-        raise ModelFileError(f"garment model {old} has schema version {version}, nothing to convert")
-    activation = metadata.pop("activation", "silu")
-    try:
-        model = _model(old, metadata, tensors)
-        if activation != "silu":
-            raise ModelFileError(f"its networks have the activation {activation!r}, allowed is 'silu'")
-        if not (model.training.get("poses") or {}).get("accelerated"):
-            raise ModelFileError("it was not trained with accelerated roots")
-    except ModelFileError as error:
-        raise ModelFileError(f"cannot convert {old}, train it anew: {error}") from error
-    for key, unsaid in UNSAID_BEFORE.items():
-        metadata[key] = json.dumps(unsaid | json.loads(metadata[key]))
-    _write(Path(new), metadata, tensors)
-
-
-def _write(path: Path, metadata: Mapping[str, str], tensors: Mapping[str, np.ndarray]) -> None:
-    """Write a file of this schema version in one step, with a digest that fits."""
-    texts = {f"{key}.json": np.frombuffer(metadata[key].encode(), np.uint8) for key in TEXTS}
+    plain = (model.rig.to_json(), asdict(model.material), dict(model.training), dict(model.scores))
+    texts = {f"{key}.json": np.frombuffer(json.dumps(data).encode(), np.uint8) for key, data in zip(TEXTS, plain)}
     deflated, stored = deflate_tensors(texts | without_faces(tensors))
-    others = {key: text for key, text in metadata.items() if key not in TEXTS}
+    metadata = {"format": FORMAT, "name": model.name, **deflated, "schema_version": str(SCHEMA_VERSION)}
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_tensors(path, {**others, **deflated, "schema_version": str(SCHEMA_VERSION)}, stored)
+    write_tensors(path, metadata, stored)
 
 
 def shipped_models() -> list[str]:

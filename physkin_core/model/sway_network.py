@@ -46,15 +46,15 @@ class SwayNetwork:
 
     joints: np.ndarray = described("joints", Array("j", below="d"))
     code_mean: np.ndarray = described("code.mean", Array("pose_modulation"))
-    code_directions: np.ndarray = described("code.directions", Array("c pose_modulation"))
+    code_directions: np.ndarray = described("code.directions", Array("code pose_modulation"))
     first: Layer = described("first", Linear("h", "drive"))
-    first_code: np.ndarray = described("first.code", Array("h c"))
+    first_code: np.ndarray = described("first.code", Array("h code"))
     rates: np.ndarray = described("rates", Array("states"))
     turns: np.ndarray = described("turns", Array("states"))
     drive: Layer = described("drive", Linear("2states", "h"))
     gate: Layer = described("gate", Linear("states", "h"))
     read: Layer = described("read", Linear("r", "2states+pose+drive"))
-    read_code: np.ndarray = described("read.code", Array("r c"))
+    read_code: np.ndarray = described("read.code", Array("r code"))
     last: Layer = described("last", Linear("l", "r"))
     out: Layer = described("out", Linear("12m", "l"))
 

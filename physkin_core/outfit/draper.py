@@ -28,9 +28,7 @@ __all__ = ["Draper"]
 
 
 class Draper:
-    """Drapes one garment on one body, a pose at a time.
-
-    If the garment does not fit the body, an AvatarWarning says so; `avatar.warnings` keeps it.
+    """Drapes one garment on one body, a pose at a time: an `Outfit` of one, which its `outfit` is.
 
     Args:
         model: the garment model.
@@ -45,9 +43,8 @@ class Draper:
         outfit: the outfit of this one garment.
 
     Raises:
-        TypeError: for anything but a model and an avatar.
-        ValueError: for an unknown precision or kind of normals, a body of another rig, a fit that is not possible,
-            points that do not lie on this garment, or `normals="faces"` for points without faces.
+        TypeError, ValueError: as `Outfit` does.
+        ValueError: for points that do not lie on this garment, or `normals="faces"` for points without faces.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -68,9 +65,6 @@ class Draper:
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
     ) -> None:
-        if not isinstance(model, GarmentModel) or not isinstance(avatar, Avatar):
-            given = f"{type(model).__name__}, {type(avatar).__name__}"
-            raise TypeError(f"Draper takes a garment model, then an avatar: Draper(model, avatar), got Draper({given})")
         self.model = model
         self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision, normals=normals)
         self._bone_rotations: dict[str, BoneRotations] = {}
@@ -106,18 +100,13 @@ class Draper:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """(d,) names of the joint positions, in the order `drape` takes them."""
+        """See `Outfit.joint_names`."""
         return self.outfit.joint_names
 
     @property
     def instruction_set(self) -> str:
-        """Instruction set that the native code uses, such as "v3" (x86-64-v3, with AVX2)."""
+        """See `Outfit.instruction_set`."""
         return self.outfit.instruction_set
-
-    @property
-    def precision(self) -> Precision:
-        """Precision of the network weights that the evaluator uses."""
-        return self.outfit.precision
 
     @property
     def vertex_count(self) -> int:
@@ -131,8 +120,7 @@ class Draper:
 
     @property
     def rest_garment(self) -> Garment:
-        """The model's mesh in the rest shape that is worn here, which depends on the fit. Strains are measured against
-        it."""
+        """See `Layer.rest_garment`."""
         return self.layer.rest_garment
 
     def drape(
@@ -153,13 +141,6 @@ class Draper:
 
         Returns:
             `out`: x, y, z [m], then the unit normal of each vertex, in the root frame.
-
-        Raises:
-            ValueError: as `Outfit.drape` does.
-
-        Examples:
-            >>> model = physkin.load_garment_model("tshirt")
-            >>> cloud = physkin.Draper(model, physkin.load_avatar("me.glb", model.rig)).drape({"lowerarm01.L_z": -1.0})
         """
         outs = None if out is None else [out]
         return self.outfit.drape(
@@ -182,10 +163,7 @@ class Draper:
             gravity, effective_gravity, out: as for `drape`.
 
         Returns:
-            `out`, as for `drape`.
-
-        Raises:
-            ValueError: as `drape` and `BoneRotations.joint_positions` do.
+            As `drape` does.
 
         Examples:
             >>> model = physkin.load_garment_model("tshirt")
@@ -199,7 +177,7 @@ class Draper:
 
     @property
     def sway(self) -> float:
-        """How much the cloth swings when `drape` is given time and root: see `Outfit.sway`."""
+        """See `Outfit.sway`."""
         return self.outfit.frame_input.sway[0]
 
     @sway.setter
@@ -208,7 +186,7 @@ class Draper:
 
     @property
     def wind(self) -> tuple[float, float, float]:
-        """Velocity [m/s] of the air in the world: see `Outfit.wind`."""
+        """See `Outfit.wind`."""
         return self.outfit.wind
 
     @wind.setter
@@ -216,26 +194,25 @@ class Draper:
         self.outfit.wind = velocity
 
     def reset(self) -> None:
-        """Start again in the next frame from cloth that hangs still, as in the first frame."""
+        """See `Outfit.reset`."""
         self.outfit.reset()
 
     def bind_frame(self, joint_positions: np.ndarray, inputs: np.ndarray, out: np.ndarray) -> Callable[[], None]:
-        """A function that drapes what given arrays hold when it is called: see `Outfit.bind_frame`."""
+        """See `Outfit.bind_frame`."""
         return self.outfit.bind_frame(joint_positions, inputs, [out])
 
     def save_bound(self, path: str | Path) -> None:
-        """Write what is bound here to a file for hosts without Python: see `Outfit.save_bound`."""
+        """See `Outfit.save_bound`."""
         self.outfit.save_bound(path)
 
     def node_transforms(self) -> np.ndarray:
-        """Garment node transforms (m, 3, 4) of the last frame, from the canonical frame of the garment node to the root
-        frame."""
+        """(m, 3, 4): see `Outfit.node_transforms`."""
         return self.outfit.node_transforms()[0]
 
     def features(self) -> np.ndarray:
-        """What moves the detail nodes in the last frame: (F,), empty for a garment without any."""
+        """(F,): see `Outfit.features`."""
         return self.outfit.features()[0]
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
-        """(b, 3, 4) canonical-to-posed transforms of the bones of this body: see `Outfit.bone_transforms`."""
+        """See `Outfit.bone_transforms`."""
         return self.outfit.bone_transforms(joint_positions)

@@ -21,7 +21,6 @@ from physkin_core.avatar.avatar import Avatar, AvatarWarning
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.outfit.bound_outfit import BoundOutfit, bind_outfit, hidden_body
 from physkin_core.outfit.coverage import OwnClothes, covers_of, faces_of, slimmed
-from physkin_core.renamed import refuse_old_names
 from physkin_core.rig.rig import Rig
 from physkin_core.rig.vrm_bones import vrm_bone_table
 from physkin_core.runtime.bound_file import save_bound_outfit
@@ -38,7 +37,6 @@ log = logging.getLogger(__name__)
 FULL_TURN = 2 * np.pi
 
 
-@refuse_old_names
 class Outfit:
     """Drapes one to four garments on one body, a pose at a time.
 
@@ -95,7 +93,7 @@ class Outfit:
         bound = bind_outfit(worn, avatar, fit=fit, hide_covered=hide_covered, own_clothes=own_clothes)
         self._wear(bound, precision, normals)
         for warning in bound.worth_saying:
-            warnings.warn(warning, AvatarWarning, stacklevel=3)  # one frame is of refuse_old_names
+            warnings.warn(warning, AvatarWarning, stacklevel=2)
 
     @classmethod
     def from_bound(
@@ -374,11 +372,14 @@ class Outfit:
 
 
 def _checked_garments(garments: Sequence[GarmentModel | WornGarment], avatar: Avatar) -> tuple[WornGarment, ...]:
-    if isinstance(garments, GarmentModel | WornGarment) or not isinstance(avatar, Avatar):
-        given = f"{type(garments).__name__}, {type(avatar).__name__}"
-        raise TypeError(f"Outfit takes a list of garments, then an avatar: Outfit([inner, outer], avatar), got {given}")
-    checked = [WornGarment(garment) if isinstance(garment, GarmentModel) else garment for garment in garments]
-    for garment in checked:
-        if not isinstance(garment, WornGarment) or not isinstance(garment.model, GarmentModel):
-            raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(garment).__name__}")
-    return tuple(checked)
+    if isinstance(garments, GarmentModel | WornGarment):
+        raise TypeError(f"Outfit takes a list of garments, got one {type(garments).__name__}: put it into a list")
+    if not isinstance(avatar, Avatar):
+        raise TypeError(
+            f"garments are put on an Avatar, got {type(avatar).__name__}: garments come first, then the avatar"
+        )
+    for garment in garments:
+        model = garment.model if isinstance(garment, WornGarment) else garment
+        if not isinstance(model, GarmentModel):
+            raise TypeError(f"a garment of an outfit is a GarmentModel or a WornGarment, got {type(model).__name__}")
+    return tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in garments)

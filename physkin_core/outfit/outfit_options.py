@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.model_file import load_garment_model, split_fabric
@@ -18,15 +19,8 @@ from physkin_core.runtime.layer import WornGarment
 
 __all__ = [
     "add_avatar_options",
-    "add_fit_option",
-    "add_garment_option",
-    "add_limbs_option",
+    "add_options",
     "add_outfit_options",
-    "add_own_clothes_option",
-    "add_rig_option",
-    "add_sway_option",
-    "add_tucked_option",
-    "add_wind_option",
     "chosen_garments",
     "dressed",
     "named_garments",
@@ -38,14 +32,54 @@ __all__ = [
 DEFAULT = "tshirt"
 
 
-def add_outfit_options(parser: argparse.ArgumentParser) -> None:
-    """Add who wears what, for commands whose avatar is an option: `--avatar`, `--rig`, `--own-clothes`, `--garment`,
-    `--tucked`, `--fit`."""
-    add_avatar_options(parser)
-    add_own_clothes_option(parser)
-    add_garment_option(parser)
-    add_tucked_option(parser)
-    add_fit_option(parser)
+OPTIONS: dict[str, dict[str, Any]] = {
+    "rig": {"metavar": "FILE", "help": "rig file of an avatar without a skeleton"},
+    "own-clothes": {
+        "choices": OWN_CLOTHES,
+        "default": OWN_CLOTHES[0],
+        "help": "clothes that the avatar wears already: replaced where garments cover them (default), all hidden, or "
+        "all kept",
+    },
+    "garment": {
+        "action": "append",
+        "metavar": "MODEL",
+        "help": "garment: a shipped name or a file (default {worn}); fabric and colour may follow, as in "
+        "skirt:denim:navy. Repeat it for an outfit, from the skin outwards",
+    },
+    "tucked": {
+        "action": "append",
+        "default": [],
+        "metavar": "MODEL",
+        "help": "garment to tuck into the waistband of the next one; repeat it for several",
+    },
+    "fit": {
+        "type": float,
+        "metavar": "F",
+        "help": "1: made to measure, 0: one size, or between (default: 1; 0 with a rig other than the body model's)",
+    },
+    "separate-limbs": {"action": "store_true", "help": "move arms and legs out of the trunk and out of each other"},
+    "sway": {
+        "type": float,
+        "default": 1.0,
+        "metavar": "S",
+        "help": "how much cloth swings with the root, 0 to 1 (default 1)",
+    },
+    "wind": {
+        "type": float,
+        "nargs": 3,
+        "default": (0.0, 0.0, 0.0),
+        "metavar": ("X", "Y", "Z"),
+        "help": "velocity of the air in the motion's world, Z up, at most 13 m/s (default: still air)",
+    },
+}
+"""Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
+
+
+def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:
+    """Add some of `OPTIONS`. worn: what help says is worn where no garment is named."""
+    for name in names:
+        flags = ("-g", "--garment") if name == "garment" else (f"--{name}",)
+        parser.add_argument(*flags, **OPTIONS[name] | {"help": OPTIONS[name]["help"].replace("{worn}", worn)})
 
 
 def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
@@ -53,81 +87,13 @@ def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -
     shipped ones were made on; else the bundled one is the default."""
     default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
     parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"avatar file (default: {said})")
-    add_rig_option(parser)
+    add_options(parser, "rig")
 
 
-def add_rig_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--rig`."""
-    parser.add_argument("--rig", metavar="FILE", help="rig file of an avatar without a skeleton")
-
-
-def add_own_clothes_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--own-clothes`, as `Outfit` takes it."""
-    parser.add_argument(
-        "--own-clothes",
-        choices=OWN_CLOTHES,
-        default=OWN_CLOTHES[0],
-        help="clothes that the avatar wears already: replaced where garments cover them (default), all hidden, or all "
-        "kept",
-    )
-
-
-def add_fit_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--fit`, a number that is left to `checked_fit`; None where it is not given."""
-    parser.add_argument(
-        "--fit",
-        type=float,
-        metavar="F",
-        help="1: made to measure, 0: one size, or between (default: 1; 0 with a rig other than the body model's)",
-    )
-
-
-def add_garment_option(parser: argparse.ArgumentParser, default: str = DEFAULT) -> None:
-    """Add `--garment`, a list; None where it is not given. default: what help says is worn then."""
-    parser.add_argument(
-        *("-g", "--garment"),
-        action="append",
-        metavar="MODEL",
-        help=f"garment: a shipped name or a file (default {default}); fabric and colour may follow, as in "
-        "skirt:denim:navy. Repeat it for an outfit, from the skin outwards",
-    )
-
-
-def add_tucked_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--tucked`, a list of what `--garment` names."""
-    parser.add_argument(
-        "--tucked",
-        action="append",
-        default=[],
-        metavar="MODEL",
-        help="garment to tuck into the waistband of the next one; repeat it for several",
-    )
-
-
-def add_limbs_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--separate-limbs`."""
-    parser.add_argument(
-        "--separate-limbs", action="store_true", help="move arms and legs out of the trunk and out of each other"
-    )
-
-
-def add_sway_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--sway`, as `Outfit.sway` takes it."""
-    parser.add_argument(
-        "--sway", type=float, default=1.0, metavar="S", help="how much cloth swings with the root, 0 to 1 (default 1)"
-    )
-
-
-def add_wind_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--wind`, as `Outfit.wind` takes it."""
-    parser.add_argument(
-        "--wind",
-        type=float,
-        nargs=3,
-        default=(0.0, 0.0, 0.0),
-        metavar=("X", "Y", "Z"),
-        help="velocity of the air in the motion's world, Z up, at most 13 m/s (default: still air)",
-    )
+def add_outfit_options(parser: argparse.ArgumentParser) -> None:
+    """Add who wears what, for commands whose avatar is an option."""
+    add_avatar_options(parser)
+    add_options(parser, "own-clothes", "garment", "tucked", "fit")
 
 
 def the_garment(names: Sequence[str] | None, taker: str) -> str:
@@ -170,7 +136,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
             replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
         ]
     avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
-    hide_covered, own_clothes = not (for_engines or whole), options.own_clothes
+    hide_covered, own_clothes = not (for_engines or whole), getattr(options, "own_clothes", OWN_CLOTHES[0])
     outfit = Outfit(garments, avatar, fit=options.fit, hide_covered=hide_covered, own_clothes=own_clothes)
     outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
     print_warnings(outfit.warnings)

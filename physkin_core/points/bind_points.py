@@ -14,7 +14,7 @@ from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options, add_fit_option, print_warnings, read_motion
+from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, read_motion
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
@@ -31,7 +31,7 @@ def command_parser() -> argparse.ArgumentParser:
     kinds = ", ".join(POINT_FILES)
     parser.add_argument("points", metavar="POINTS", type=Path, help=f"points that lie on the garment's mesh: {kinds}")
     add_avatar_options(parser)
-    add_fit_option(parser)
+    add_options(parser, "fit")
     parser.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     frames = parser.add_mutually_exclusive_group()
     frames.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")

@@ -6,14 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from physkin_core.outfit.outfit_options import (
-    add_limbs_option,
-    add_outfit_options,
-    add_sway_option,
-    add_wind_option,
-    dressed,
-    read_motion,
-)
+from physkin_core.outfit.outfit_options import add_options, add_outfit_options, dressed, read_motion
 from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
@@ -54,9 +47,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin render", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
-    add_limbs_option(parser)
-    add_sway_option(parser)
-    add_wind_option(parser)
+    add_options(parser, "separate-limbs", "sway", "wind")
     usual = Camera()
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own, at most 30)"

@@ -10,7 +10,6 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from physkin_core.renamed import refuse_old_names
 from physkin_core.rig.ball_joints import BallJoint, BallRotations
 from physkin_core.rig.rig import Rig, RigError
 from physkin_core.rig.vrm_bones import VRM_AXES, rig_ball_joint, vrm_ball_joints
@@ -23,7 +22,6 @@ NORM_TOLERANCE = 1e-3
 NEGLIGIBLE = 1e-12  # [rad] an angle of this size is rounding of zero
 
 
-@refuse_old_names
 class BoneRotations:
     """Splits rotations of bones into the joint positions of a rig.
 

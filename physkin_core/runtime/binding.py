@@ -24,6 +24,7 @@ from physkin_core.model.node_deformer import fold_first_layer
 from physkin_core.model.skinning import unit
 from physkin_core.model.sway_network import fold_body
 from physkin_core.native_module import as_float32
+from physkin_core.quality import closest_points
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
 from physkin_core.runtime.around_legs import goes_round_both_legs, reaches_knees, thighs
 from physkin_core.runtime.body_encoder import encode_body
@@ -184,8 +185,6 @@ def bind_points(
     Raises ValueError when points or normals are not finite, normals are not one a point or have no length, or points
     lie farther than that from the trained garment.
     """
-    from point_cloud_utils import closest_points_on_mesh
-
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
         raise ValueError(f"points to bind must be a finite, non-empty (n, 3) array, got shape {points.shape}")
@@ -194,11 +193,9 @@ def bind_points(
     garment = model.garment
     low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
     beyond = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1)
-    _reject_far_points(
-        beyond, farthest, "at least ", model.name
-    )  # at once, where closest points of centimetres take minutes
-    faces = garment.faces.astype(np.int64)
-    distance, face, barycentric = closest_points_on_mesh(np.ascontiguousarray(points), garment.vertices, faces)
+    # at once, where closest points of centimetres take minutes
+    _reject_far_points(beyond, farthest, "at least ", model.name)
+    distance, face, barycentric = closest_points(points, garment.vertices, garment.faces)
     _reject_far_points(distance, farthest, "", model.name)
     corners = garment.faces[face]
 

@@ -22,26 +22,12 @@ from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.tensor_file import write_tensors
 
-__all__ = ["BOUND_SCHEMA_VERSION", "save_bound_garment", "save_bound_outfit"]
+__all__ = ["BOUND_SCHEMA_VERSION", "save_bound_outfit"]
 
 FORMAT = "physkin-bound-garment"
 BOUND_SCHEMA_VERSION: str = native.constants["bound_garment_version"]
-
-
 MOST_STEPS = 127
 """As native/src/kernels/packed_layer.cpp rounds."""
-
-
-def save_bound_garment(
-    bound: BoundGarment,
-    path: str | Path,
-    *,
-    name: str,
-    joint_names: Sequence[str],
-    fabrics: Sequence[str] = ("as bound",),
-) -> None:
-    """Write a bound garment to `path`. As `save_bound_outfit` of one."""
-    save_bound_outfit([bound], path, names=[name], joint_names=joint_names, fabrics=[fabrics])
 
 
 def save_bound_outfit(

@@ -52,9 +52,13 @@ class BoundGarment(SkinningData):
     guard_vertices, guard_influence_nodes, guard_influence_weights: (s, 3) and (s, K), samples of cloth that hangs free,
         as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
         guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
-        skin; guard_ways (k, s, 2): which way a shin leads each back over itself, see `SkinPart.ways_back`. skin_frames
-        (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_presses (k,), skin_coefficients
-        (k, J, 2 H + 1): these parts, see `SkinPart`. All empty where no cloth hangs.
+        skin; guard_ways (k, s, 2): which way a shin leads each back over itself, see `SkinPart.ways_back`.
+    dent_vertices, dent_influence_nodes, dent_influence_weights, dent_detail_nodes, dent_detail_weights: likewise,
+        samples at which cloth is dented, one for each detail node whose cloth hangs free; dent_nodes: int32, that
+        detail node; dent_shares: how free, 0 to 1.
+    skin_frames (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_presses (k,), skin_coefficients
+        (k, J, 2 H + 1): the parts of the skin, see `SkinPart`. Empty, like guard_ and dent_ arrays, where no cloth
+        hangs.
     """
 
     bone_parents: np.ndarray

@@ -14,7 +14,6 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.model.surface_paths import openings, path_lengths
-from physkin_core.renamed import refuse_old_names
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_core.runtime.rest_look import RestLook
@@ -40,7 +39,6 @@ class WornGarment:
     fit: float | None = None
 
 
-@refuse_old_names
 @dataclass(frozen=True)
 class Layer:
     """A garment as an outfit wears it on its body.

@@ -16,7 +16,6 @@ from numbers import Real
 import numpy as np
 
 from physkin_core.native_module import native
-from physkin_core.renamed import refuse_old_names
 
 __all__ = [
     "AIR_DRAG",
@@ -50,7 +49,6 @@ RootSample = native.RootSample
 """What is known of a root at one pose of it, for `FrameInput.set_root_sample`."""
 
 
-@refuse_old_names
 class FrameInput:
     """What a frame of one avatar's garments needs besides joint positions: gravity, time, root and wind.
 

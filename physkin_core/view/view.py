@@ -12,15 +12,7 @@ from importlib import import_module
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.loader.asset_loader import AssetLoader
-from physkin_core.outfit.outfit_options import (
-    add_fit_option,
-    add_garment_option,
-    add_limbs_option,
-    add_own_clothes_option,
-    add_rig_option,
-    add_tucked_option,
-    print_warnings,
-)
+from physkin_core.outfit.outfit_options import add_options, print_warnings
 from physkin_core.view.garment_files import GarmentFiles
 from physkin_core.view.own_meshes import OwnMeshes
 from physkin_core.view.page import Page
@@ -106,12 +98,8 @@ def command_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="avatar file (default: the bundled one)")
-    add_rig_option(parser)
-    add_own_clothes_option(parser)
-    add_garment_option(parser, ", ".join(WORN))
-    add_tucked_option(parser)
-    add_fit_option(parser)
-    add_limbs_option(parser)
+    worn = ", ".join(WORN)
+    add_options(parser, "rig", "own-clothes", "garment", "tucked", "fit", "separate-limbs", worn=worn)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
         "--splats", metavar="PLY", help="Gaussian splats that lie on one of the garments; they are drawn instead of it"

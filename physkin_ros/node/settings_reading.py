@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.model.model_file import split_fabric
-from physkin_core.renamed import PARAMETERS
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import (
     AVATAR_SETTINGS,
@@ -96,8 +95,6 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
-    if name in PARAMETERS:
-        return SettingsError(f"parameter {parameter or name}: {name} is now called {PARAMETERS[name]}")
     near = nearest_names(name, known, most=1)
     allowed = f"did you mean {near}?" if near else f"allowed{where}: {', '.join(sorted(known))}"
     return SettingsError(f"parameter {parameter or name}: unknown key {name!r}; {allowed}")

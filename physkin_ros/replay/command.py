@@ -10,15 +10,7 @@ from pathlib import Path
 
 from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
-from physkin_core.outfit.outfit_options import (
-    add_avatar_options,
-    add_fit_option,
-    add_garment_option,
-    add_limbs_option,
-    add_sway_option,
-    print_warnings,
-    the_garment,
-)
+from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, the_garment
 from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_core.separation.limb_separator import bind_limbs
 from physkin_core.sway.frame_input import checked_sway
@@ -123,7 +115,7 @@ def command_parser() -> argparse.ArgumentParser:
         "bag", type=Path, help="folder with metadata.yaml, or a .mcap or .db3 file; or a folder of such bags"
     )
     add_avatar_options(parser)
-    add_garment_option(parser)
+    add_options(parser, "garment")
     parser.add_argument(
         "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
     )
@@ -143,7 +135,7 @@ def command_parser() -> argparse.ArgumentParser:
         help="topic of a pose, odometry or IMU (default /pose, /odom, /imu, or the only one)",
     )
     parser.add_argument("--world-frame", metavar="FRAME", help=f"upright frame of TF (default {WORLD})")
-    add_sway_option(parser)
+    add_options(parser, "sway")
     parser.add_argument(
         "--gravity",
         type=float,
@@ -153,14 +145,14 @@ def command_parser() -> argparse.ArgumentParser:
         help="direction of gravity in the root frame, if no topic gives it (default: upright)",
     )
     parser.add_argument("--precision", choices=PRECISIONS, help="precision of the network weights (default int8)")
-    add_fit_option(parser)
+    add_options(parser, "fit")
     parser.add_argument(
         "--normals",
         choices=NORMALS,
         default="skinned",
         help="carried along with the cloth, or computed from the draped mesh",
     )
-    add_limbs_option(parser)
+    add_options(parser, "separate-limbs")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
     )

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_motion
-from physkin_core.outfit.outfit_options import add_fit_option, add_garment_option, add_tucked_option, chosen_garments
+from physkin_core.outfit.outfit_options import add_options, chosen_garments
 from physkin_core.progress import progress_line
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
@@ -81,9 +81,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"
     )
-    add_garment_option(parser, ", ".join(WORN))
-    add_tucked_option(parser)
-    add_fit_option(parser)
+    add_options(parser, "garment", "tucked", "fit", worn=", ".join(WORN))
     parser.add_argument("--avatar", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     return parser

@@ -25,7 +25,7 @@ OF_THEIR_OWN = {
 def commands():
     """Command -> its options; None for those whose options only they know."""
     forwarded = {}
-    for name, (module, _) in cli.FORWARDED.items():
+    for name, module in cli.FORWARDED.items():
         pytest.importorskip(module, reason="needs pip install 'physkin[ros,replay,training,view]'")
         forwarded[name] = getattr(import_module(module), "command_parser", None)
     parser = cli._parser({name: parser() for name, parser in forwarded.items() if parser})

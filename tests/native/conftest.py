@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from model_files import save_bound_garment
 from native_frames import told
 from random_models import random_detail, random_layers, random_sway_network, unit_rows
 
 from physkin_core.model.sway_network import fold_body
-from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 
 

@@ -31,7 +31,7 @@ from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.motion.motion import Motion
-from physkin_core.outfit.outfit_options import add_sway_option
+from physkin_core.outfit.outfit_options import add_options
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.layer import WornGarment
@@ -241,7 +241,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("clips", nargs="+", metavar="CLIP", help="motion files or names of shipped ones")
     parser.add_argument("--bodies", nargs="+", default=BODIES, help=f"of {', '.join(BODIES)}, or avatar files")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="look skin up every N-th frame (default 1)")
-    add_sway_option(parser)
+    add_options(parser, "sway")
     options = parser.parse_args(argv)
     motions = [load_motion(clip).resampled(RATE) for clip in options.clips]
     for line in (HEADS, ["---"] * len(HEADS)):

@@ -51,11 +51,6 @@ def trousers_file(worn, tmp_path_factory):
     return str(path)
 
 
-def export(path, *files, options=()):
-    garments = [word for file in files for word in ("-g", file)]
-    assert main(["export", "walk", *garments, "--rate", f"{RATE:g}", *options, "-o", str(path)]) == 0
-
-
 @pytest.fixture(scope="module")
 def whole(worn):
     """The outfit that a .glb is made of."""
@@ -84,7 +79,7 @@ def test_an_engine_sees_what_is_draped(walking, motion, whole):
         apart = np.linalg.norm(reader.skinned("longsleeve", frame) - shirt, axis=1)
         assert apart.mean() < 2e-4 and apart.max() < 5e-3
         body = in_gltf_world(whole.posed_body(motion.positions_for(whole.rig)[frame]), motion, frame)
-        assert np.linalg.norm(reader.skinned("body", frame) - body, axis=1).max() < 2e-4
+        assert cKDTree(body).query(reader.skinned("body", frame))[0].max() < 2e-4
 
 
 def test_what_no_frame_shows_is_left_out(walking, motion, whole):
@@ -119,14 +114,12 @@ def test_what_is_in_the_file_has_names(walking):
     assert len(set(shirt.extras["targetNames"])) == len(shirt.primitives[0].targets) > 0
 
 
-def test_what_a_glb_cannot_show_is_told(tmp_path, motion, worn, trousers_file, monkeypatch, capsys):
+def test_what_a_glb_cannot_show_is_told(tmp_path, motion, whole, monkeypatch):
     """Without morph targets the shirt's order is not kept: how far off it is, and what to do."""
     monkeypatch.setattr(morph_targets, "MOST_TARGETS", 0)
-    save_garment_model(worn[1], tmp_path / "longsleeve.safetensors")
-    export(tmp_path / "walk.glb", trousers_file, str(tmp_path / "longsleeve.safetensors"))
-    told = capsys.readouterr().err
-    off = rf"warning: longsleeve is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
-    assert re.search(off, told)
+    (told,) = write_gltf_motion(tmp_path / "walk.glb", whole, motion)
+    off = rf"longsleeve is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
+    assert re.match(off, told)
 
 
 def test_joints_rest_where_meshes_are_bound(walking):
@@ -153,7 +146,8 @@ def test_usd_has_every_vertex(tmp_path, motion, worn, trousers_file, folded):
     from pxr import Usd, UsdGeom
 
     shirt, path = folded
-    export(tmp_path / "walk.usdc", trousers_file, path, options=("--sway", "0.5", "--wind", "-4", "1", "0"))
+    options = ["--rate", f"{RATE:g}", "--sway", "0.5", "--wind", "-4", "1", "0", "-o", str(tmp_path / "walk.usdc")]
+    assert main(["export", "walk", "-g", trousers_file, "-g", path, *options]) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetEndTimeCode()) == (RATE, motion.frame_count - 1)
@@ -219,10 +213,6 @@ def usd_faults(stage):
         (["walk", "-o", "walk.fbx"], "cannot write walk.fbx: allowed are .glb, .usd, .usdc"),
         (["walk", "-g", "tshirt", "--tucked", "skirt", "-o", "x.glb"], "--tucked skirt: none of the garments"),
         (["strut", "-o", "x.glb"], "strut"),
-        (
-            ["walk", "--wind", "0", "14", "0", "-o", "x.glb"],
-            "wind must be (3,), finite, up to 13 m/s, got [0.0, 14.0, 0.0]",
-        ),
     ],
 )
 def test_what_cannot_be_exported_is_told(options, told, capsys):

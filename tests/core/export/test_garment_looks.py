@@ -23,6 +23,7 @@ from physkin_core.mesh.surfaces import surfaces_of
 
 RATE = 5.0
 RED = (0.8, 0.05, 0.1)
+SCALED = "newmtl knit\nmap_Kd {} knit.png\nnewmtl red\nmap_Kd knit.png\n"
 
 
 @pytest.fixture(scope="module")
@@ -165,33 +166,30 @@ def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
 @pytest.mark.parametrize(
     "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
 )
-def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected, export):
-    """In both files: the picture is scaled, texture coordinates stay what they are."""
-    library = f"newmtl knit\nmap_Kd {options} knit.png\nnewmtl red\nmap_Kd knit.png\n"
-    path = write_look(tmp_path / "look", shirt, library=library)
+def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected):
+    path = write_look(tmp_path / "look", shirt, library=SCALED.format(options))
     knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
     assert knit.repeats == expected and red.repeats == (1, 1)
+
+
+def test_files_have_pictures_as_large_as_materials_say(tmp_path, shirt, export):
+    """In both: the picture is scaled, texture coordinates stay what they are."""
+    path = write_look(tmp_path / "look", shirt, library=SCALED.format("-s 20 40 1"))
     assert export(tmp_path / "walk.glb", "--materials", path) == 0
     textured, plain = Reader(tmp_path / "walk.glb").file.materials[-2:]
     assert plain.pbrMetallicRoughness.baseColorTexture.extensions == {}
     transform = textured.pbrMetallicRoughness.baseColorTexture.extensions["KHR_texture_transform"]
-    assert transform["scale"] == list(expected)
-    back = read_mesh(tmp_path / "walk.glb").look
-    scaled = back.uv[back.material == back.materials.index("knit")]
-    first = read_mesh(path).look
-    wanted = first.uv[first.material == 0] * expected
-    np.testing.assert_allclose(
-        np.sort(scaled.reshape(-1, 2), axis=0), np.sort(wanted.reshape(-1, 2), axis=0), atol=1e-3
-    )
-    if expected != (20, 40):
-        return
+    assert transform["scale"] == [20, 40]
+    back, first = read_mesh(tmp_path / "walk.glb").look, read_mesh(path).look
+    scaled = back.uv[back.material == back.materials.index("knit")].reshape(-1, 2)
+    wanted = (first.uv[first.material == 0] * [20, 40]).reshape(-1, 2)
+    np.testing.assert_allclose(np.sort(scaled, axis=0), np.sort(wanted, axis=0), atol=1e-3)
     pxr = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
     assert export(tmp_path / "walk.usdc", "--materials", path) == 0
     stage = pxr.Stage.Open(str(tmp_path / "walk.usdc"))
-    scales = [
-        prim.GetAttribute("inputs:scale").Get() for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"
-    ]
-    assert [tuple(scale) for scale in scales] == [expected]
+    prims = [prim for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"]
+    scales = [prim.GetAttribute("inputs:scale").Get() for prim in prims]
+    assert [tuple(scale) for scale in scales] == [(20, 40)]
 
 
 def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):
@@ -212,21 +210,8 @@ def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):
         np.testing.assert_allclose(found.uv, kept, atol=1e-5)
         assert found.materials == ("red",)
     save_garment_model(model, tmp_path / "sewn.safetensors")
-    assert (
-        main(
-            [
-                "export",
-                "walk",
-                "-g",
-                str(tmp_path / "sewn.safetensors"),
-                "--rate",
-                "5",
-                "-o",
-                str(tmp_path / "walk.glb"),
-            ]
-        )
-        == 0
-    )
+    arguments = ["export", "walk", "-g", str(tmp_path / "sewn.safetensors"), "--rate", "5"]
+    assert main([*arguments, "-o", str(tmp_path / "walk.glb")]) == 0
     reader = Reader(tmp_path / "walk.glb")
     places = reader.array(reader.attributes("random").TEXCOORD_0) * [1, -1] + [0, 1]
     assert len(places) == len(sewn.panel_places)

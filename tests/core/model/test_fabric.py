@@ -172,7 +172,7 @@ def test_jersey_is_the_reference_material():
 
 
 @pytest.mark.parametrize("name", shipped_models())
-def test_shipped_garments_can_be_made_of_every_named_fabric(name):
-    model = load_garment_model(name)
+def test_shipped_garments_can_be_made_of_every_named_fabric(name, shipped):
+    model = shipped(name)
     for fabric in FABRICS:
         assert with_fabric(model, fabric).garment is model.garment

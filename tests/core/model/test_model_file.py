@@ -16,13 +16,12 @@ from physkin_core import (
     GarmentModelError,
     Material,
     ModelFileError,
-    cli,
     load_garment_model,
     save_garment_model,
 )
 from physkin_core.model import model_file
 from physkin_core.model.model_arrays import described_arrays
-from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, convert_model_file, model_content
+from physkin_core.model.model_file import LEAST_PACKED, MODELS_PATH, SCHEMA_VERSION, model_content
 from physkin_core.tensor_file import read_tensors
 
 
@@ -34,7 +33,7 @@ def tiny(**changes):
 def saved(tmp_path_factory):
     """A small garment model file, all network weights packed."""
     path = tmp_path_factory.mktemp("models") / "tiny.safetensors"
-    save_packed(tiny(), path)
+    save_packed(tiny(learnt_sway=True, detail_nodes=5), path)
     return path
 
 
@@ -42,13 +41,12 @@ def unit_rows(rows):
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def refused(saved, match, change, *, seal=True):
-    """The file is refused after change(metadata, tensors); sealed again, with a digest that fits, unless told."""
+def refused(saved, match, change):
+    """The file is refused after change(metadata, tensors), sealed again with a digest that fits."""
     metadata, tensors = contents(saved)
     change(metadata, tensors)
-    content = sealed(metadata, tensors) if seal else save(tensors, metadata=metadata)
     with pytest.raises(ModelFileError, match=match):
-        load_garment_model(written(saved.with_name("changed.safetensors"), content))
+        load_garment_model(written(saved.with_name("changed.safetensors"), sealed(metadata, tensors)))
         pytest.fail("it went unnoticed")
 
 
@@ -69,7 +67,7 @@ def test_round_trip(tmp_path, size):
     """Indices, rig and plain data come back exactly, large network weights to a thousandth of a row's largest, geometry
     to half a step and skinning weights to one, the rest to half precision. Saved again, over the file, not a bit
     differs."""
-    model = random_model(np.random.default_rng(1), **SIZES[size], width=16, detail_nodes=30)
+    model = random_model(np.random.default_rng(1), **SIZES[size], width=16, detail_nodes=30, learnt_sway=True)
     model = replace(model, material=Material(youngs_modulus=33.5, contact_stiffness=1e5), name="a b")
     path = tmp_path / "new folder" / "model.safetensors"
     save_garment_model(model, path)
@@ -118,8 +116,8 @@ def test_what_is_read_once_is_what_is_loaded(saved, tmp_path):
 
 
 def test_damaged_and_foreign_files_are_refused(tmp_path, saved):
-    """Cut anywhere, with a byte more, of another kind, a folder, not there, or with one bit flipped: 60 positions in
-    the whole file, 200 in its header of length, names, types, shapes, offsets, metadata. The message names the file."""
+    """Cut anywhere, with a byte more, of another kind, a folder or not there; the message names the file. Files that
+    were overwritten: test_damaged_model_files. What the digest covers: test_tensor_file."""
     data, path = saved.read_bytes(), tmp_path / "other.safetensors"
     contents = [data[: int(share * len(data))] for share in (0, 1e-4, 0.01, 0.1, 0.3, 0.5, 0.8, 0.99, 0.9999)]
     contents += [data + b"\0", b"garment", b"\0" * 100, b"\xff" * 100, b"o tshirt\nv 1 2 3\n" * 50]
@@ -132,13 +130,6 @@ def test_damaged_and_foreign_files_are_refused(tmp_path, saved):
     for name in ("no.safetensors", tmp_path.name):
         with pytest.raises(ModelFileError, match=name):
             load_garment_model(tmp_path.parent / name)
-    header, rng = 8 + int.from_bytes(data[:8], "little"), np.random.default_rng(5)
-    for position in np.r_[:8, rng.integers(8, header, 200), rng.integers(0, len(data), 60)]:
-        flipped = bytearray(data)
-        flipped[position] ^= 1 << rng.integers(0, 8)
-        with pytest.raises(ModelFileError, match="other.safetensors"):
-            load_garment_model(written(path, flipped))
-            pytest.fail(f"a bit of byte {position} of {len(data)} went unnoticed")
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
@@ -163,80 +154,11 @@ def test_unknown_name_lists_the_shipped_models():
 # --- Altered or newer ---
 
 
-def swap(metadata, tensors, a="hyper_modulator.norm_1.weight", b="hyper_modulator.norm_2.weight"):
-    tensors[a], tensors[b] = tensors[b], tensors[a]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *(lambda m, t, key=key: m.update({key: m.get(key, "") + " "})
-          for key in ("name", "rig", "material", "training", "scores", "extra", "sha256")),
-        lambda m, t: t.update({"garment_nodes.bones": t.pop("garment_nodes.bone")}),
-        lambda m, t: t.update({"garment.vertices": t["garment.vertices"].reshape(3, -1)}),
-        swap,
-    ],
-)  # fmt: skip
-def test_altered_contents_are_refused(saved, change):
-    """The digest covers metadata, names, shapes and types, not only bytes."""
-    refused(saved, "damaged or was altered", change, seal=False)
-
-
-@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "", "0", "-1", "1.0", "one", "²"])
+@pytest.mark.parametrize("version", [str(SCHEMA_VERSION + 1), "7", "", "0", "-1", "1.0", "one", "²"])
 def test_schema_version_must_be_known(saved, version):
-    refused(saved, f"schema version '?{version}", lambda metadata, _: metadata.update(schema_version=version))
-
-
-@pytest.fixture(params=["4", "7"])
-def older(request, saved, tmp_path):
-    """A file of an earlier version, and what it holds."""
-    metadata, tensors = contents(saved)
-    metadata |= {"schema_version": request.param, "training": json.dumps({"poses": {"accelerated": 0.3}})}
-    metadata |= {"activation": "silu", "material": json.dumps({"youngs_modulus": 60.0, "bending": 2.5e-5})}
-    return written(tmp_path / "old.safetensors", sealed(metadata, tensors)), metadata, tensors
-
-
-def test_older_files_are_refused_by_a_sentence_that_names_what_converts_them(older):
-    with pytest.raises(ModelFileError, match=r"schema version [47], .*: physkin convert-model .*old.safetensors -o"):
-        load_garment_model(older[0])
-
-
-def test_conversion_keeps_every_number(older, tmp_path, capsys):
-    """The same tensors, deflated, the same metadata but for the version, what is gone, and what went without saying:
-    cloth bent from the shape of its mesh, and fewer octaves of bending were learnt."""
-    old, metadata, tensors = older
-    new = tmp_path / "new.safetensors"
-    assert cli.main(["convert-model", str(old), "-o", str(new)]) == 0
-    converted, same = contents(new)
-    kept = metadata.keys() - {"activation", "sha256", "schema_version", "material", "training"}
-    assert {key: converted[key] for key in kept} == {key: metadata[key] for key in kept}
-    assert converted.keys() == metadata.keys() - {"activation"} and converted["schema_version"] == str(SCHEMA_VERSION)
-    assert new.stat().st_size < old.stat().st_size
-    for name in same.keys() | tensors.keys():
-        np.testing.assert_array_equal(same[name], tensors[name], err_msg=name, strict=True)
-    model = load_garment_model(new)
-    assert model.material == Material(youngs_modulus=60.0, bending=2.5e-5, rest_angles="as_made")
-    assert model.training == {"poses": {"accelerated": 0.3}, "bending_octaves": [-2, 4]}
-    assert cli.main(["convert-model", str(new), "-o", str(tmp_path / "again.safetensors")]) == 2
-    assert "nothing to convert" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "change, lacking",
-    [
-        (lambda metadata, _: metadata.update(activation="relu"), "activation 'relu', allowed is 'silu'"),
-        (lambda metadata, _: metadata.update(training="{}"), "not trained with accelerated roots"),
-        *((lambda _, tensors, name=name: tensors.pop(name), f"lacks '{name}'")
-          for name in ("hyper_modulator.fit", "hyper_modulator.bend", "garment.normals", "engine_skinning.nodes")),
-    ],
-)  # fmt: skip
-def test_a_model_that_lacks_what_all_have_is_not_converted(older, tmp_path, change, lacking):
-    old, metadata, tensors = older
-    change(metadata, tensors)
-    written(old, sealed(metadata, tensors))
-    with pytest.raises(ModelFileError, match=f"cannot convert .*old.safetensors, train it anew: .*{lacking}"):
-        convert_model_file(old, tmp_path / "new.safetensors")
-    assert list(tmp_path.iterdir()) == [old]
+    """An older one is to be trained anew, a newer one needs a newer release."""
+    remedy = {"7": ".* train it anew", str(SCHEMA_VERSION + 1): ".* update PhySkin"}.get(version, "")
+    refused(saved, f"schema version '?{version}{remedy}", lambda metadata, _: metadata.update(schema_version=version))
 
 
 # --- Inconsistent, though undamaged ---

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physkin_core import Draper, load_body_model, load_garment, load_garment_model
+from physkin_core import Draper, load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.model.model_file import MODELS_PATH, shipped_models
 from physkin_core.quality import edge_strain
@@ -28,9 +28,9 @@ def test_the_files_are_small():
 
 
 @pytest.mark.parametrize("name", GARMENTS)
-def test_garments_are_those_that_training_reads(name):
+def test_garments_are_those_that_training_reads(name, shipped):
     """Their panels too, rounded by the file; jersey, with folds."""
-    model, mesh = load_garment_model(name), load_garment(MESHES / f"{name}.obj")
+    model, mesh = shipped(name), load_garment(MESHES / f"{name}.obj")
     np.testing.assert_allclose(model.garment.vertices, mesh.vertices, atol=5e-6)
     np.testing.assert_array_equal(model.garment.faces, mesh.faces)
     np.testing.assert_allclose(model.garment.edge_lengths, mesh.edge_lengths, rtol=1e-3)
@@ -39,10 +39,10 @@ def test_garments_are_those_that_training_reads(name):
 
 
 @pytest.mark.parametrize("name", GARMENTS)
-def test_scores_are_in_the_file(name):
+def test_scores_are_in_the_file(name, shipped):
     """Of 16 bodies and eight poses of each or more with plain skinning beside them, and of motion, at both fits; the
     model is better. The file has the seed."""
-    model = load_garment_model(name)
+    model = shipped(name)
     assert model.name == model.training["name"] == name and model.training["seed"] is not None
     scores = model.scores
     assert scores["counts"]["bodies"] == 16 and scores["counts"]["poses"] >= 8
@@ -54,10 +54,10 @@ def test_scores_are_in_the_file(name):
 
 
 @pytest.mark.parametrize("name", GARMENTS)
-def test_drapes_are_like_the_scores(name):
+def test_drapes_are_like_the_scores(name, shipped):
     """Twelve poses on three held-out bodies, in one size: less strain than plain skinning, near the stored mean, and on
     the body. Scores are of the networks alone; here legs and hands are kept out of skirts, too."""
-    model, body_model = load_garment_model(name), load_body_model()
+    model, body_model = shipped(name), load_body_model()
     rng = np.random.default_rng(5)
     strains, skinned, lifts = [], [], []
     for coefficients in body_model.held_out_bodies[:3]:

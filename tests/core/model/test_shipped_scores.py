@@ -1,6 +1,7 @@
 """Figures of the documents that the shipped models' files hold: what is written is what is stored, rounded."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,9 @@ def strains(scores):
     return [STRAIN.format(**rows) for rows in (scores["made_to_measure"]["model"], scores["model"], scores["skinning"])]
 
 
+model = cache(load_garment_model)
+
+
 def names_described():
     """Of the shipped garments, each in backquotes."""
     return [name for name, *_ in tables(PAGE)[0]]
@@ -38,7 +42,7 @@ def test_tables_of_shipped_garments(everyday, formats):
     """Every cell of every garment in the notebook."""
     wanted = []
     for name in names_described():
-        scores = load_garment_model(name.strip("`")).scores
+        scores = model(name.strip("`")).scores
         if everyday:
             of_motion = {"made_to_measure": scores["made_to_measure"]["motion"]}
             scores = scores["motion"] | of_motion
@@ -52,7 +56,7 @@ def test_every_shipped_garment_is_described():
     """With its number of vertices."""
     rows = tables(PAGE)[0]
     described = {name.strip("`"): vertices for name, *_, vertices in rows}
-    assert described == {name: f"{len(load_garment_model(name).garment.vertices):,}" for name in shipped_models()}
+    assert described == {name: f"{len(model(name).garment.vertices):,}" for name in shipped_models()}
 
 
 def test_table_of_the_readme():
@@ -60,7 +64,7 @@ def test_table_of_the_readme():
     rows = next(table for table in tables(ROOT / "README.md") if "vertices" in table[0][0])
     assert len(rows) >= 5
     for name, *cells in rows:
-        scores = load_garment_model(re.search("`(.+)`", name)[1])
+        scores = model(re.search("`(.+)`", name)[1])
         assert f"{len(scores.garment.vertices):,}" in name
         scores = scores.scores
         figures = scores["made_to_measure"]["motion"], scores["motion"], scores

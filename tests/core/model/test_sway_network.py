@@ -1,13 +1,12 @@
-"""The sway network of a garment model: in its file, and what is refused."""
+"""The sway network of a garment model: on a body, and what is refused. In its file: test_model_file."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from model_files import contents, sealed, written
 from random_models import random_avatar, random_model
 
-from physkin_core import GarmentModelError, ModelFileError, cli, load_garment_model, save_garment_model
+from physkin_core import GarmentModelError
 from physkin_core.model.sway_network import LARGEST_CODE, fold_body
 from physkin_core.runtime.binding import bind_garment, encode_body
 
@@ -15,26 +14,6 @@ from physkin_core.runtime.binding import bind_garment, encode_body
 @pytest.fixture(scope="module")
 def model():
     return random_model(np.random.default_rng(0), learnt_sway=True)
-
-
-def test_round_trip(model, tmp_path, capsys):
-    save_garment_model(model, tmp_path / "swaying.safetensors")
-    assert cli.main(["info", str(tmp_path / "swaying.safetensors")]) == 0
-    assert "by its sway network" in capsys.readouterr().out
-    back, expected = load_garment_model(tmp_path / "swaying.safetensors").arrays(), model.arrays()
-    assert back.keys() == expected.keys()
-    assert back["sway.joints"].dtype == np.int32 and (back["sway.joints"] == expected["sway.joints"]).all()
-    for name in (name for name in back if name.startswith("sway.")):
-        np.testing.assert_allclose(back[name], expected[name], rtol=1e-3, atol=1e-6, err_msg=name)
-
-
-def test_a_file_that_lacks_an_array_is_refused(model, tmp_path):
-    path = tmp_path / "lacks.safetensors"
-    save_garment_model(model, path)
-    metadata, tensors = contents(path)
-    del tensors["sway.gate.bias"]
-    with pytest.raises(ModelFileError, match="lacks 'sway.gate.bias'"):
-        load_garment_model(written(path, sealed(metadata, tensors)))
 
 
 def test_other_skinning_weights_and_bodies_keep_it(model):

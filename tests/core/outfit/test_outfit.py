@@ -11,12 +11,9 @@ from reference.frame import ReferenceFrame
 from scipy.spatial import cKDTree
 
 from physkin_core import (
-    BUNDLED_AVATAR,
     AvatarWarning,
-    Draper,
     Outfit,
     WornGarment,
-    load_avatar,
     load_garment_model,
     load_motion,
 )
@@ -28,13 +25,13 @@ from physkin_core.runtime.evaluator import Skinner
 
 
 @pytest.fixture(scope="module")
-def models():
-    return {name: load_garment_model(name) for name in ("tshirt", "longsleeve", "trousers", "skirt", "dress")}
+def models(shipped):
+    return {name: shipped(name) for name in ("tshirt", "longsleeve", "trousers", "skirt", "dress")}
 
 
 @pytest.fixture(scope="module")
-def avatar(models):
-    return load_avatar(BUNDLED_AVATAR, models["tshirt"].rig)
+def avatar(worn):
+    return worn("tshirt").avatar
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +41,13 @@ def motion(models):
 
 
 @pytest.fixture(scope="module")
-def over_trousers(models, avatar):
-    return Outfit([models["trousers"], models["tshirt"]], avatar)
+def over_trousers(worn):
+    return worn("trousers", "tshirt")
 
 
 @pytest.fixture(scope="module")
-def tucked(models, avatar):
-    return Outfit([WornGarment(models["tshirt"], tucked=True), models["trousers"]], avatar)
+def tucked(worn):
+    return worn("tshirt", "trousers", tucked="tshirt")
 
 
 def stands_out(inner, outer, faces, deep):
@@ -61,14 +58,15 @@ def stands_out(inner, outer, faces, deep):
     return int(((distance > 0.003) & (distance < 0.06) & under).sum())
 
 
-def test_trousers_no_longer_stand_out_of_a_shirt(models, avatar, motion, over_trousers):
+def test_trousers_no_longer_stand_out_of_a_shirt(worn, motion, over_trousers):
     """While dancing: many vertices do without the outfit, next to none with it."""
-    bare = [Draper(models[name], avatar) for name in ("trousers", "tshirt")]
-    deep = bare[1].layer.hem_distance > 0.03
+    bare = [worn(name) for name in ("trousers", "tshirt")]
+    layer = bare[1].layers[0]
+    deep = layer.hem_distance > 0.03
     without, outfit = 0, 0
     for frame in range(0, len(motion[0]), 5):
-        trousers, shirt = (draper.drape(motion[0][frame], motion[1][frame])[:, :3] for draper in bare)
-        without += stands_out(trousers, shirt, bare[1].faces, deep)
+        trousers, shirt = (outfit.drape(motion[0][frame], motion[1][frame])[0][:, :3] for outfit in bare)
+        without += stands_out(trousers, shirt, layer.faces, deep)
         trousers, shirt = over_trousers.drape(motion[0][frame], motion[1][frame])
         outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.layers[1].faces, deep)
     assert without > 500
@@ -92,8 +90,8 @@ def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):
     np.testing.assert_array_equal(faces, trousers.faces[kept])
 
 
-def test_nothing_is_hidden_when_asked_so(models, avatar, over_trousers):
-    whole = Outfit([models["trousers"], models["tshirt"]], avatar, hide_covered=False)
+def test_nothing_is_hidden_when_asked_so(worn, over_trousers):
+    whole = worn("trousers", "tshirt", hide_covered=False)
     for layer, same in zip(whole.layers, over_trousers.layers):
         assert layer.vertex_count == len(layer.model.garment.vertices)
         np.testing.assert_array_equal(layer.hidden, same.hidden)
@@ -114,15 +112,18 @@ def test_a_wide_skirt_does_not_cover_ankles_below_its_hem():
     assert not covered(np.zeros((1, 3)), ahead, [cloth]).any()
 
 
+def strongest_bones(avatar):
+    """Names (V,) of the bones that move vertices most."""
+    strongest = avatar.influence_weights.argmax(axis=1)
+    return np.array(avatar.bone_names)[avatar.influence_bones[np.arange(len(strongest)), strongest]]
+
+
 def test_the_body_mask_hides_skin_under_cloth_alone(over_trousers, avatar):
     """Of thighs and belly much is hidden; nothing of head, hands and feet."""
     centre = avatar.vertices[avatar.faces].mean(axis=1)
     mask = over_trousers.body_mask
     assert mask.shape == (len(avatar.faces),) and 0.05 < mask.mean() < 0.5
-    bones = np.array(avatar.bone_names)[
-        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
-    ]
-    of_face = bones[avatar.faces[:, 0]]
+    of_face = strongest_bones(avatar)[avatar.faces[:, 0]]
     for part in ("head", "wrist", "foot"):
         assert not mask[np.char.find(np.char.lower(of_face), part) >= 0].any()
     assert centre[mask][:, 2].max() < centre[:, 2].max() - 0.2
@@ -136,18 +137,16 @@ def test_skin_under_cloth_is_drawn_slimmer_and_bare_skin_as_it_is(over_trousers,
     assert np.linalg.norm(moved, axis=1).max() < 6.01e-3
     hidden = np.unique(avatar.faces[over_trousers.body_mask])
     assert inwards.min() > -1e-6 and inwards[hidden].min() > 2e-3 and np.median(inwards[hidden]) > 5.99e-3
-    bones = np.array(avatar.bone_names)[
-        avatar.influence_bones[np.arange(len(avatar.vertices)), avatar.influence_weights.argmax(axis=1)]
-    ]
+    bones = strongest_bones(avatar)
     for part in ("head", "wrist"):
         assert not moved[np.char.find(bones, part) >= 0].any()
     hem = over_trousers.layers[0].rest[:, 2].min()
     assert not moved[avatar.vertices[:, 2] < hem - 0.03].any()
 
 
-def test_a_collarbone_does_not_show_through_as_it_is_drawn(models, avatar, motion):
+def test_a_collarbone_does_not_show_through_as_it_is_drawn(worn, motion):
     """The arm across the chest lifts it a few millimetres over the shirt's collar."""
-    outfit = Outfit([models["longsleeve"]], avatar)
+    outfit = worn("longsleeve")
     (cloth,) = outfit.drape(motion[0][144], motion[1][144])
     faces = outfit.layers[0].faces
     outward = np.cross(*(cloth[faces[:, k], :3] - cloth[faces[:, 0], :3] for k in (1, 2)))
@@ -162,9 +161,9 @@ def test_a_collarbone_does_not_show_through_as_it_is_drawn(models, avatar, motio
     assert shows[0] > 4 and shows[1] <= 1
 
 
-def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trousers):
+def test_a_shirt_over_trousers_is_wider_where_they_are(worn, over_trousers):
     """Its rest shape is, by up to 15 mm and a little; at the collar it is as on the bare body."""
-    bare = Draper(models["tshirt"], avatar).rest_garment.vertices
+    bare = worn("tshirt").layers[0].rest_garment.vertices
     moved = np.linalg.norm(over_trousers.layers[1].rest_garment.vertices - bare, axis=1)
     low = bare[:, 2] < np.quantile(bare[:, 2], 0.1)
     assert 0.004 < moved[low].mean() < 0.017 and moved.max() < 0.02
@@ -172,16 +171,16 @@ def test_a_shirt_over_trousers_is_wider_where_they_are(models, avatar, over_trou
 
 
 def depth_below_waistband(alone, over):
-    """How far (n,) [m] a draper's garment would reach below the waistband of a layer."""
-    return tucked_depths((alone.layer.rest[:, :3], over.rest[:, :3]), (alone.faces, over.bound.faces))
+    """How far (n,) [m] a layer by itself would reach below the waistband of another."""
+    return tucked_depths((alone.rest[:, :3], over.rest[:, :3]), (alone.faces, over.bound.faces))
 
 
-def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, motion):
+def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(worn, motion):
     """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself, but
     for a few vertices near the waistband, which a raised arm pulls out; the deepest of it is not given."""
-    tucked = Outfit([WornGarment(models["longsleeve"], tucked=True), models["trousers"]], avatar)
-    alone, (shirt_layer, trousers_layer) = Draper(models["longsleeve"], avatar), tucked.layers
-    depth = depth_below_waistband(alone, trousers_layer)
+    tucked = worn("longsleeve", "trousers", tucked="longsleeve")
+    alone, (shirt_layer, trousers_layer) = worn("longsleeve"), tucked.layers
+    depth = depth_below_waistband(alone.layers[0], trousers_layer)
     below = np.flatnonzero(depth[shirt_layer.visible] > 0.01)
     assert 0 < len(below) < (depth > 0.01).sum()
     assert shirt_layer.hidden[depth > DEEP].all() and not shirt_layer.hidden[depth < SLIDES].any()
@@ -189,14 +188,14 @@ def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(models, avatar, mot
         shirt, trousers = tucked.drape(motion[0][frame], motion[1][frame])
         inside = signed_distance(shirt[below, :3], trousers[:, :3], trousers_layer.faces)
         assert (inside < 0).mean() > 0.99 and inside.max() < 0.05
-        loose = alone.drape(motion[0][frame], motion[1][frame])[shirt_layer.visible[below], :3]
+        loose = alone.drape(motion[0][frame], motion[1][frame])[0][shirt_layer.visible[below], :3]
         assert (signed_distance(loose, trousers[:, :3], trousers_layer.faces) > 0).mean() > 0.3
 
 
-def test_a_tucked_shirt_is_taken_in(models, avatar, tucked, motion):
+def test_a_tucked_shirt_is_taken_in(worn, tucked, motion):
     """Its rest shape is another below the waistband and as before at the chest; it is outside the trousers half
     as often by itself."""
-    alone, taken_in = Draper(models["tshirt"], avatar), tucked.layers[0]
+    alone, taken_in = worn("tshirt").layers[0], tucked.layers[0]
     depth = depth_below_waistband(alone, tucked.layers[1])
     moved = np.linalg.norm(taken_in.rest_garment.vertices - alone.rest_garment.vertices, axis=1)
     assert moved[depth > 0.03].mean() > 0.004
@@ -204,7 +203,7 @@ def test_a_tucked_shirt_is_taken_in(models, avatar, tucked, motion):
     outside = np.zeros(2)
     for frame in range(0, len(motion[0]), 30):
         _, trousers = tucked.drape(motion[0][frame], motion[1][frame])
-        for k, shirt in enumerate((alone.layer, taken_in)):
+        for k, shirt in enumerate((alone, taken_in)):
             (drawn,) = shirt.drape([(motion[0][frame], motion[1][frame])])
             hem = drawn[depth > 0.01, :3]
             outside[k] += (signed_distance(hem, trousers[:, :3], tucked.layers[1].faces) > 0).sum()

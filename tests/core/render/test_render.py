@@ -1,6 +1,5 @@
 """`physkin render`: films read back by their own libraries, the camera, and what is refused before drawing begins."""
 
-import itertools
 import sys
 from pathlib import Path
 
@@ -8,10 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
+from physkin_core import load_motion
 from physkin_core.cli import main
 from physkin_core.extras import install_command
-from physkin_core.progress import progress_line
 from physkin_core.render import filming
 from physkin_core.render.film_files import check_film, write_film
 from physkin_core.render.filming import Camera, film
@@ -60,9 +58,8 @@ def test_png_is_numbered(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def outfit():
-    model = load_garment_model("skirt")
-    return Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig))
+def outfit(worn):
+    return worn("skirt")
 
 
 @pytest.mark.parametrize("follow", [True, False])
@@ -133,12 +130,3 @@ def test_missing_encoder_is_told_before_drawing(monkeypatch, capsys):
         check_film(Path("a.mp4"), size=(2, 2), rate_hz=30.0)
     assert main(["render", "run", "-o", "a.mp4"]) == 2
     assert install_command("view") in capsys.readouterr().err
-
-
-def test_progress_tells_the_time_left(monkeypatch, capsys):
-    """Half in one minute and a half leaves as much."""
-    clock = itertools.chain([0.0], itertools.repeat(90.0))
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    progress_line("drawing")(0.5)
-    assert capsys.readouterr().err.endswith("drawing: 50%, 1:30 left")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fuzzing import check_refusals
-from model_files import edited_header, resealed
+from model_files import edited_header, resealed, save_bound_garment
 from native_frames import NativeFrame, clouds, told
 from native_library import (
     BAD_ARGUMENT,
@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
-from physkin_core.runtime.bound_file import save_bound_garment
 from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
 C_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from model_files import save_bound_garment
 from native_frames import NativeFrame, clouds, told
 from native_library import BAD_ARGUMENT, OK, c_library, load, options, step, step_moving
 
 from physkin_core import BUNDLED_AVATAR, FABRICS, Draper, load_avatar, load_garment_model, load_motion, with_fabric
 from physkin_core.model.mlp import fold_modulation
-from physkin_core.runtime.bound_file import save_bound_garment
 
 UPRIGHT = np.array([0, 0, -1], dtype=np.float32)
 

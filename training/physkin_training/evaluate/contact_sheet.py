@@ -23,7 +23,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, upright_orientation
-from physkin_core.outfit.outfit_options import add_fit_option
+from physkin_core.outfit.outfit_options import add_options
 from physkin_core.output_file import check_folder
 from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.progress import progress_line
@@ -233,7 +233,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="CLIP",
         help=f"draw the middle {STRIP_FRAMES} frames of a clip instead, at {STRIP_RATE:g} Hz, on the average body",
     )
-    add_fit_option(parser)
+    add_options(parser, "fit")
     parser.add_argument(
         "--minimum", action="store_true", help="draw the full-space minimum beside the model (minutes on a CPU)"
     )

@@ -1,0 +1,108 @@
+"""A glTF scene while it grows: meshes by their materials, and their skins. Arrays come in our root frame.
+
+Dimensions: `v` vertices of a mesh, `f` its faces, `j` joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder
+from physkin_core.export.gltf_materials import GltfMaterials
+from physkin_core.export.morph_targets import MorphTargets
+from physkin_core.mesh.look import Look
+from physkin_core.mesh.surfaces import Surface, split_at_seams
+
+__all__ = ["GltfScene", "in_gltf_frame"]
+
+
+def in_gltf_frame(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of the root frame in glTF's, float32."""
+    return (vectors @ FROM_ROOT_FRAME.T).astype(np.float32)
+
+
+class GltfScene:
+    """nodes, meshes: of the document. roots: indices of nodes that hang on nothing. `finished` is called last."""
+
+    def __init__(self) -> None:
+        self.builder = GltfBuilder({"generator": "PhySkin"})
+        self.nodes: list[dict] = []
+        self.meshes: list[dict] = []
+        self.roots: list[int] = []
+        self._materials = GltfMaterials(self.builder)
+        scene = {"scene": 0, "scenes": [{"nodes": self.roots}], "nodes": self.nodes, "meshes": self.meshes}
+        self.builder.document |= scene
+
+    def add_mesh(
+        self,
+        name: str,
+        cloud: np.ndarray,
+        faces: np.ndarray,
+        look: Look | None,
+        surfaces: Sequence[Surface],
+        *,
+        attributes: Mapping[str, np.ndarray] | None = None,
+        morphs: MorphTargets | None = None,
+        **node: Any,
+    ) -> None:
+        """A mesh and the node that has it, with other properties of that. cloud: (v, 6) positions and unit normals, of
+        which those that no face (f, 3) uses are left out. attributes: what else vertices have, (v, ...) each. look,
+        surfaces: texture places, if any, and materials of its faces. morphs: of its vertices."""
+        add = self.builder.add_accessor
+        stored = {}
+        if look is None:
+            own, faces = np.unique(faces, return_inverse=True)
+            faces = faces.reshape(-1, 3)
+        else:
+            own, places, faces = split_at_seams(look, faces)
+            stored["TEXCOORD_0"] = add((places * [1, -1] + [0, 1]).astype(np.float32))
+        stored["POSITION"] = add(in_gltf_frame(cloud[own, :3]))
+        stored["NORMAL"] = add(in_gltf_frame(cloud[own, 3:]))
+        for key, values in (attributes or {}).items():
+            stored[key] = add(values[own], normalized=key.startswith("WEIGHTS"))
+        mesh: dict = {"name": name}
+        targets = {}
+        if morphs is not None:
+            morphs = morphs.of_vertices(own)
+            targets = {"targets": self._add_targets(morphs, len(own))}
+            kind = "order" if morphs.turns is None else "fold"
+            names = [f"{kind}_{k}" for k in range(len(morphs.targets))]
+            mesh |= {"weights": morphs.resting.tolist(), "extras": {"targetNames": names}}
+        mesh["primitives"] = [
+            {
+                "attributes": stored,
+                "indices": add(faces[surface.faces].astype(np.uint32).reshape(-1)),
+                "material": self._materials.add(surface),
+                **targets,
+            }
+            for surface in surfaces
+        ]
+        self.roots.append(len(self.nodes))
+        self.nodes.append({"name": name, "mesh": len(self.meshes), **node})
+        self.meshes.append(mesh)
+
+    def add_skin(self, name: str, joints: Sequence[int], rest: np.ndarray) -> int:
+        """Meshes are bound where unturned joints, indices of nodes, are at `rest` (j, 3). Returns the skin's index."""
+        bind = np.tile(np.eye(4, dtype=np.float32), (len(rest), 1, 1))
+        bind[:, 3, :3] = -in_gltf_frame(rest)  # column by column
+        inverse = self.builder.add_accessor(bind.reshape(-1, 16))
+        skins = self.builder.document.setdefault("skins", [])
+        skins.append({"name": name, "joints": list(joints), "inverseBindMatrices": inverse})
+        return len(skins) - 1
+
+    def finished(self) -> GltfBuilder:
+        """The document, whole."""
+        self._materials.finish()
+        return self.builder
+
+    def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
+        """Of a mesh of so many vertices."""
+        changes = {"POSITION": morphs.targets, "NORMAL": morphs.turns}
+        targets: list[dict[str, int]] = [{} for _ in morphs.targets]
+        for name, values in changes.items():
+            for target, each in zip(targets, () if values is None else in_gltf_frame(values)):
+                target[name] = self.builder.add_sparse_accessor(morphs.moved, each, count)
+        return targets
