@@ -15,7 +15,6 @@ from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.outfit.outfit_options import (
     add_fit_option,
     add_garment_option,
-    add_limbs_option,
     add_own_clothes_option,
     add_rig_option,
     add_tucked_option,
@@ -61,7 +60,6 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         motion=motion,
         fit=options.fit,
         own_clothes=options.own_clothes,
-        separate_limbs=options.separate_limbs,
         points=options.splats,
     )
     print_warnings(state.warnings)
@@ -111,18 +109,11 @@ def command_parser() -> argparse.ArgumentParser:
     add_garment_option(parser, ", ".join(WORN))
     add_tucked_option(parser)
     add_fit_option(parser)
-    add_limbs_option(parser)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
         "--splats", metavar="PLY", help="Gaussian splats that lie on one of the garments; they are drawn instead of it"
     )
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
-    parser.add_argument(
-        "--joint-states",
-        action="append",
-        metavar="TOPIC",
-        help="with --ros and AVATAR: topic of the body's poses (default joint_states); repeat it for several bodies",
-    )
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to listen at (default: only this machine can open the page)"
     )
