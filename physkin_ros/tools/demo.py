@@ -21,14 +21,14 @@ from physkin_core.progress import progress_line
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
-from physkin_ros.tools.trial import KEPT_CLOUDS, NodeProcess, Records, TrialError, node_parameters, play_to_node
+from physkin_ros.tools.trial import NodeProcess, Records, TrialError, node_parameters, play_to_node
 
 __all__ = ["command_parser", "main"]
 
 RATE_HZ = 60.0
 WORN = ("trousers", "tshirt")
 """By default, from the skin outwards."""
-COLUMNS = 4
+PICTURES, COLUMNS = 8, 4
 PICTURE_SIZE = (420, 440)
 
 
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
     motion, outfit = clip.looped(options.seconds), Outfit(garments, avatar)
     os.environ.update(private_environment())
     try:
-        records = _play(options, motion, keep_every=math.ceil(min(clip.frame_count, motion.frame_count) / KEPT_CLOUDS))
+        records = _play(options, motion)
     except TrialError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -57,13 +57,13 @@ def main(argv: list[str] | None = None) -> int:
     return 0 if complete(records) else 1
 
 
-def _play(options: argparse.Namespace, motion: Motion, *, keep_every: int) -> Records:
+def _play(options: argparse.Namespace, motion: Motion) -> Records:
     _say(f"starting the drape node with {' and '.join(options.garment)}")
     parameters = node_parameters(1, [{"model": name} for name in options.garment], body_mesh=options.avatar)
     with tempfile.TemporaryDirectory(prefix="physkin-demo-") as folder, NodeProcess(parameters, Path(folder)) as node:
         _say(f"playing {options.motion} at {RATE_HZ:.0f} Hz, {options.seconds:g} s")
-        garments = len(options.garment)
-        return play_to_node(motion, garments=garments, gravity=True, keep_every=keep_every, check=node.check)
+        asked = {"garments": len(options.garment), "keep_every": math.ceil(motion.frame_count / PICTURES)}
+        return play_to_node(motion, gravity=True, check=node.check, **asked)
 
 
 def complete(records: Records) -> bool:

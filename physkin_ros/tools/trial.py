@@ -48,7 +48,6 @@ ASK_EVERY = 0.2
 """[s] between two joint states that ask whether a garment answers."""
 DRAIN_SECONDS, SILENCE_SECONDS = 0.3, 1.0
 """Left for what is on its way: of joint states before the player ends, of clouds after the last one."""
-KEPT_CLOUDS = 8
 STAMP, STAMP_OFFSET = struct.Struct("=iI"), 4
 """Where a stamp is in any message that begins with a header: after the encapsulation."""
 
@@ -194,7 +193,7 @@ class Listener(Node):
             points = read_cloud(deserialize_message(data, PointCloud2))
             self.not_finite += not np.isfinite(points).all()
             order = self._order.setdefault(stamp, len(self._order))
-            if avatar == 0 and order % self._keep_every == 0 and order // self._keep_every < KEPT_CLOUDS:
+            if avatar == 0 and order % self._keep_every == 0:
                 self.kept.setdefault(stamp, {})[garment] = points.copy()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
