@@ -154,26 +154,32 @@ def regressions(figures: Mapping, baseline: Mapping) -> list[str]:
     return worse
 
 
-def summary(figures: Mapping) -> str:
-    """The figures in a few lines for a terminal."""
-    counts, run, latency = figures["counts"], figures["run"], figures["latency_us"]
-    rows = {
+def summary(figures: Mapping, tablefmt: str = "plain") -> str:
+    """What came of the bag and the figures, two tables. tablefmt: as of `tabulate`, which escapes for "html"."""
+    counts, bag, run = figures["counts"], figures["bag"], figures["run"]
+    rate = f", {bag['rate_hz']:.1f} Hz" if bag["rate_hz"] else ""
+    facts = {
         "garment": f"{run['model']}, {run['vertices']} vertices, fit {run['fit']:g}, on {run['avatar']}",
-        "joint states": f"{counts['joint_states']} in {figures['bag']['duration_s']:.2f} s",
+        "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
+        "joint states": f"{counts['joint_states']} on {bag['topic']}, {bag['duration_s']:.2f} s{rate}",
         "draped / rejected": f"{counts['draped']} / {counts['rejected']}",
         f"{ROOT[run['orientation']]} / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",
-        "clouds out of training range": f"{counts['out_of_range_clouds']}",
+        "instruction set": run["instruction_set"],
     }
     if counts["root_unknown"]:
-        rows["draped without knowing where the root is"] = f"{counts['root_unknown']}"
-    for name, label in LABELS.items():
-        spread = figures["figures"][name]
-        if spread["mean"] is not None:
-            tail = f", p95 {spread['p95']:.3f}, max {spread['max']:.3f}" if "p95" in spread else ""
-            rows[label] = f"mean {spread['mean']:.3f}{tail}"
-    rows["evaluator [µs]"] = f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ({run['instruction_set']})"
-    rows |= {f"rejected {count} times": reason for reason, count in list(figures["reasons"].items())[:5]}
-    return tabulate(rows.items(), tablefmt="plain", disable_numparse=True)
+        facts["draped without knowing where the root is"] = f"{counts['root_unknown']}"
+    if counts["out_of_range_clouds"]:
+        joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])
+        facts["beyond joint limits"] = f"{counts['out_of_range_clouds']} clouds: {joints}"
+    reasons = [(f"rejected {count} times", reason) for reason, count in list(figures["reasons"].items())[:5]]
+    spreads = {label: figures["figures"][name] for name, label in LABELS.items()}
+    spreads["evaluator [µs]"] = figures["latency_us"]
+    rows = [[label, *map(spread.get, SPREAD)] for label, spread in spreads.items()]
+    tables = [
+        tabulate([*facts.items(), *reasons], tablefmt=tablefmt, disable_numparse=True),
+        tabulate(rows, ["", *SPREAD], tablefmt=tablefmt, floatfmt=".3f", missingval=""),
+    ]
+    return "\n\n".join(tables)
 
 
 def _spread(values: np.ndarray) -> dict[str, float | None]:

@@ -21,7 +21,7 @@ from physkin_core import Draper
 from physkin_core.extras import install_command
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.render.filming import dressed_meshes
-from physkin_ros.replay.figures import LABELS, SPREAD
+from physkin_ros.replay.figures import LABELS, summary
 from physkin_ros.replay.replay import Replay
 
 __all__ = ["thumbnails", "write_overview", "write_report"]
@@ -42,8 +42,9 @@ PAGE = Template("""<!doctype html>
 <title>$title</title>
 <style>
 body { font: 15px/1.45 system-ui, sans-serif; color: #23272e; max-width: 900px; margin: 2em auto; padding: 0 1em }
-h1 { font-size: 1.4em } h2 { font-size: 1.05em; margin: 1.6em 0 .3em } img { max-width: 100% }
-table { border-collapse: collapse } td, th { padding: .15em .9em .15em 0; text-align: left; vertical-align: top }
+h1 { font-size: 1.4em } img { max-width: 100% }
+table { border-collapse: collapse; margin: 1em 0 }
+td, th { padding: .15em .9em .15em 0; text-align: left; vertical-align: top }
 figure { display: inline-block; margin: 0 .4em .6em 0 } figcaption { font-size: .85em; color: #667 }
 .worse { color: #a3261b } .well { color: #2c6e3f }
 </style>
@@ -95,7 +96,7 @@ def write_report(
         parts.append(f'<p class="worse">Worse than the baseline:<br>{"<br>".join(map(html.escape, worse))}</p>')
     elif worse is not None:
         parts.append('<p class="well">Not worse than the baseline.</p>')
-    parts += [_counts_table(figures), "<h2>Figures</h2>", _figures_table(figures)]
+    parts.append(summary(figures, "html"))
     for caption, png in pictures:
         image = _image(png, f"garment at {html.escape(caption)}")
         parts.append(f"<figure>{image}<figcaption>{html.escape(caption)}</figcaption></figure>")
@@ -123,32 +124,6 @@ def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, st
 def _write_page(path: Path, title: str, parts: Sequence[str]) -> None:
     """parts: HTML."""
     path.write_text(PAGE.substitute(title=html.escape(title), body="\n".join(parts)), "utf-8")
-
-
-def _counts_table(figures: Mapping) -> str:
-    counts, bag, run = figures["counts"], figures["bag"], figures["run"]
-    rate = f", {bag['rate_hz']:.1f} Hz" if bag["rate_hz"] else ""
-    rows = {
-        "joint states": f"{counts['joint_states']} on {bag['topic']}, {bag['duration_s']:.2f} s{rate}",
-        "draped": f"{counts['draped']}",
-        "rejected": f"{counts['rejected']}",
-        "gravity": f"{counts['gravity_messages']} messages, {counts['gravity_rejected']} rejected",
-        "garment": f"{run['vertices']} vertices, fit {run['fit']:g} (0: one size, 1: made to measure)",
-        "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
-        "evaluator": f"instruction set {run['instruction_set']}",
-    }
-    if counts["out_of_range_clouds"]:
-        joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])
-        rows["beyond joint limits"] = f"{counts['out_of_range_clouds']} clouds: {joints}"
-    rows |= {f"rejected {count} times": reason for reason, count in figures["reasons"].items()}
-    return tabulate(rows.items(), tablefmt="html", disable_numparse=True)
-
-
-def _figures_table(figures: Mapping) -> str:
-    spreads = {label: figures["figures"][name] for name, label in LABELS.items()}
-    spreads["evaluator [µs]"] = figures["latency_us"]
-    rows = [[label, *map(spread.get, SPREAD)] for label, spread in spreads.items()]
-    return tabulate(rows, ["", *SPREAD], tablefmt="html", floatfmt=".3f", missingval="")
 
 
 def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
