@@ -20,7 +20,7 @@ from physkin_core.outfit.outfit_options import (
     add_tucked_option,
     print_warnings,
 )
-from physkin_core.view.garment_files import GarmentFiles
+from physkin_core.view.garment_files import follow_files
 from physkin_core.view.own_meshes import OwnMeshes
 from physkin_core.view.page import Page
 
@@ -72,12 +72,12 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         else:
             page.report(error)
 
-    files = GarmentFiles(state, report_change)
+    end_following = follow_files(state, report_change)
     try:
         begin(page, browser=not options.no_browser)
         page.run(viewer.tick)
     finally:
-        files.close()
+        end_following()
         viewer.close()
     return 0
 

@@ -70,7 +70,7 @@ def test_soak(domain, tmp_path, seconds):
     parameters = node_parameters(GARMENTS, [{"model": MODEL}], orientation="fixed") | {"asset_roots": [str(bodies)]}
     motion = load_motion("dance").resampled(RATE_HZ).looped(seconds)
     with NodeProcess(parameters, tmp_path) as node, ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        site = Site(domain, node, [])
+        site = Site(domain, node._process, [])
         try:
             playing = pool.submit(play_to_node, motion, avatars=GARMENTS)
             usage, swaps = _disturb(site, bodies, playing.done)
