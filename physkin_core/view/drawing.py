@@ -87,13 +87,11 @@ class Drawing:
             if self.figures is None or frame.outfit is not self.figures.outfit:
                 self._change_outfit(frame)
             self._place(frame)
-            body, *cloth = self._surfaces
             self._paint(frame)
             self._show_plain(frame)
-            for surface, colour in zip((body, *cloth, *self._plain), 2 * _from_afar(frame)):
-                surface.colour = colour
-            for surface in (*cloth, *self._plain[1:]):
-                surface.wireframe = self.switches.wireframe
+            for figure in (self._surfaces, self._plain):
+                for k, (surface, colour) in enumerate(zip(figure, _from_afar(frame))):
+                    surface.look(colour, wireframe=self.switches.wireframe and k > 0)  # the first is the body
             self._show_marks(frame)
 
     def _change_outfit(self, frame: Frame) -> None:

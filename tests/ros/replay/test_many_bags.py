@@ -14,8 +14,9 @@ from physkin_ros.replay import many_bags  # noqa: E402
 
 
 @pytest.fixture
-def bags(bag, tmp_path):
-    """Two bags and a file that is none."""
+def bags(bag, tmp_path, draper, quick, monkeypatch):
+    """Two bags and a file that is none; the garment is bound once."""
+    monkeypatch.setattr("physkin_ros.replay.command._draper", lambda _: draper)
     folder = tmp_path / "bags"
     folder.mkdir()
     for name in ("one.mcap", "two.mcap"):
@@ -29,10 +30,9 @@ def command(bags, *more):
     return ["replay", str(bags), "-o", str(bags.parent / "out"), *more]
 
 
-def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, capsys):
+def test_every_bag_is_replayed_once(bags, tmp_path, capsys):
     """One that cannot be read is a row with the reason; what is finished is done again only with other settings."""
-    model = ["-g", str(leaning_model_path)]
-    assert cli.main(command(bags, *model)) == 1
+    assert cli.main(command(bags)) == 1
     printed = capsys.readouterr().out
     assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: replayed" in printed
     out = tmp_path / "out"
@@ -44,18 +44,18 @@ def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, c
     assert f"{figures['figures']['edge_strain_percent']['mean']:.3f}" in page
     (bags / "broken.mcap").unlink()
     written = (out / "one.mcap" / "figures.json").stat().st_mtime_ns
-    assert cli.main(command(bags, *model)) == 0
+    assert cli.main(command(bags)) == 0
     assert "2 bags, 2 of them finished" in capsys.readouterr().out
     assert (out / "one.mcap" / "figures.json").stat().st_mtime_ns == written
     shutil.copy(bags / "one.mcap", bags / "two.mcap")
-    assert cli.main(command(bags, *model)) == 0
+    assert cli.main(command(bags)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out, "its file is a newer one"
-    assert cli.main(command(bags, *model, "--fit", "0")) == 0
+    assert cli.main(command(bags, "--fit", "0")) == 0
     assert "2 bags, 0 of them finished" in capsys.readouterr().out
     assert sorted(path.name for path in bags.iterdir()) == ["notes.txt", "one.mcap", "two.mcap"]
 
 
-def test_what_was_interrupted_goes_on(bags, quick, leaning_model_path, monkeypatch, capsys):
+def test_what_was_interrupted_goes_on(bags, monkeypatch, capsys):
     """With the bags that are left."""
     (bags / "broken.mcap").unlink()
 
@@ -64,8 +64,8 @@ def test_what_was_interrupted_goes_on(bags, quick, leaning_model_path, monkeypat
 
     with monkeypatch.context() as patch:
         patch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
-        assert cli.main(command(bags, "-g", str(leaning_model_path))) == 130
-    assert cli.main(command(bags, "-g", str(leaning_model_path))) == 0
+        assert cli.main(command(bags)) == 130
+    assert cli.main(command(bags)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out
 
 
