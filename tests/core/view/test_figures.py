@@ -97,22 +97,6 @@ def test_process_answers_as_the_function_and_tells_of_errors(dressed):
         process.close()
 
 
-def test_a_process_that_was_ended_is_replaced(dressed):
-    figures, frame = dressed
-    question, process = figures.question(frame), FigureProcess()
-    try:
-        process.ask(question)
-        (pid,) = process._pool._processes
-        os.kill(pid, signal.SIGKILL)
-        with pytest.raises(BrokenProcessPool):
-            _answer(process)
-        process.restart()
-        process.ask(question)
-        assert _answer(process).inside_percent == look_at_contact(question).inside_percent
-    finally:
-        process.close()
-
-
 def test_closing_waits_for_no_answer(dressed):
     """However long a question takes."""
     figures, frame = dressed

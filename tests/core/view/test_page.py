@@ -215,8 +215,6 @@ def test_addresses_that_cannot_be(address, told):
     ("arguments", "reason"),
     [
         (["-g", "nosuch"], "no garment model 'nosuch'"),
-        (["nosuch.glb"], "no such file"),
-        (["--motion", "nosuch"], "no bundled motion 'nosuch'"),
         (["-g", "tshirt", "--tucked", "skirt"], "none of the garments"),
     ],
 )

@@ -15,8 +15,9 @@ from physkin_ros.replay import many_bags  # noqa: E402
 
 @pytest.fixture
 def bags(bag, tmp_path, draper, quick, monkeypatch):
-    """Two bags and a file that is none; the garment is bound once."""
+    """Two bags and a file that is none; the garment is bound once, and nothing is plotted."""
     monkeypatch.setattr("physkin_ros.replay.command._draper", lambda _: draper)
+    monkeypatch.setattr("physkin_ros.replay.report._plots", lambda _: "")
     folder = tmp_path / "bags"
     folder.mkdir()
     for name in ("one.mcap", "two.mcap"):
