@@ -43,7 +43,7 @@ from physkin_ros.middleware.spinning import spin_until, wait_for_subscribers
 __all__ = ["NodeProcess", "Records", "TrialError", "node_parameters", "play_to_node"]
 
 SECOND = 1_000_000_000
-ANSWER_SECONDS, STOP_SECONDS = 100.0, 5.0
+ANSWER_SECONDS, PLAY_SECONDS, STOP_SECONDS = 100.0, 100.0, 5.0
 ASK_EVERY = 0.2
 """[s] between two joint states that ask whether a garment answers."""
 DRAIN_SECONDS, SILENCE_SECONDS = 0.3, 1.0
@@ -220,8 +220,11 @@ def play_to_node(
         listener.wait_until_answered(executor, motion)
         with multiprocessing.get_context("spawn").Pool(1, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
             playing = pool.apply_async(play, (motion, avatars), played)
+            end = time.monotonic() + PLAY_SECONDS + 4 * motion.frame_count / motion.rate_hz
             while not spin_until(executor, 1.0, playing.ready):
                 check()
+                if time.monotonic() > end:
+                    raise TrialError("the motion was not played in time")
             stamps, measured = playing.get()
         count = -1
         while count < len(listener.arrived):
