@@ -9,22 +9,23 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import signal
 import sys
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core import load_garment_model
+from physkin_core import load_garment_model, load_motion
 from physkin_core.machine import machine_line, versions_line
 from physkin_core.outfit.outfit_options import add_options
 from physkin_ros.arguments import file_to_write, positive, whole_number
 from physkin_ros.middleware.transport import private_environment
-from physkin_ros.tools.children import ChildFailedError, Children
-from physkin_ros.tools.trial import Records, finish, start_node, start_playing
+from physkin_ros.tools.trial import NodeProcess, Records, TrialError, node_parameters, play_to_node
 
 __all__ = ["Case", "command_parser", "figures", "main"]
 
@@ -78,16 +79,17 @@ def main(argv: list[str] | None = None) -> int:
     }
     shown = facts | ({"queue": "the node's own"} if options.queue is None else {})
     print("\n".join(f"{name}: {value}" for name, value in shown.items()), flush=True)
+    os.environ.update(private_environment())
     print(" | ".join(title for _, title, _ in COLUMNS), flush=True)
     rows = []
     try:
         for case in options.cases:
             with tempfile.TemporaryDirectory(prefix="physkin-ros-bench-") as folder:
-                rows.append(figures(case, _measure(case, options, Path(folder)), garments=len(options.garment)))
+                rows.append(figures(case, _measure(case, options, Path(folder))))
             shown = (rows[-1][key] for key, _, _ in COLUMNS)
             cells = ("-" if value is None else format(value, spec) for value, (_, _, spec) in zip(shown, COLUMNS))
             print(" | ".join(cells), flush=True)
-    except ChildFailedError as error:
+    except TrialError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -99,18 +101,40 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
-    seconds = options.seconds + WARM_UP_SECONDS
-    with Children(private_environment(), folder) as children:
-        settings = {"avatar": {"orientation": "fixed"}, "garment": {"fit": options.fit}, "queue": options.queue}
-        start_node(children, folder, case.avatars, outfit=[{"model": model} for model in options.garment], **settings)
-        more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
-        played = (children, folder, case.avatars, MOTION, case.rate_hz, seconds, *more)
-        start_playing(*played, garments=len(options.garment))
-        return finish(children, folder, seconds)
+    garments = [{"model": model} for model in options.garment]
+    if options.fit is not None:
+        garments = [garment | {"fit": options.fit} for garment in garments]
+    parameters = node_parameters(case.avatars, garments, orientation="fixed")
+    if options.queue is not None:
+        parameters["qos_overrides"] = {
+            f"/a{k}/joint_states": {"subscription": {"depth": options.queue}} for k in range(case.avatars)
+        }
+    motion = load_motion(MOTION).resampled(case.rate_hz).looped(options.seconds + WARM_UP_SECONDS)
+    with NodeProcess(parameters, folder) as node:
+        watched = {"warm_up": _warm_up(case), "measure": partial(_processor_time, node.pid)}
+        return play_to_node(motion, avatars=case.avatars, garments=len(garments), check=node.check, **watched)
 
 
-def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, object]:
-    """What was measured of a case, of avatars with so many garments; figures that there were none for are None.
+def _warm_up(case: Case) -> int:
+    """Joint states of each avatar that only the share of those delivered counts."""
+    return round(WARM_UP_SECONDS * case.rate_hz)
+
+
+def _processor_time(pid: int) -> tuple[float, float, float]:
+    """Processor time [s] of a process's first thread and of all its living threads, and the machine's load average of
+    a minute. Linux only: raises OSError."""
+    total = 0.0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        try:
+            total += int((task / "schedstat").read_text().split()[0]) / 1e9
+        except FileNotFoundError:  # the thread has ended meanwhile
+            continue
+    first = int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[0]) / 1e9
+    return first, total, os.getloadavg()[0]
+
+
+def figures(case: Case, records: Records) -> dict[str, object]:
+    """What was measured of a case; figures that there were none for are None.
 
     sent: joint states. delivered_percent: those of which all clouds came once, with the warm-up; all else is without.
     p50_ms, p99_ms: end to end, to the last cloud. callback_us, process_us: processor time of the node's executor
@@ -119,15 +143,14 @@ def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, obj
     evaluator_p50_us.
     load: the machine's load average of a minute, when the case ended.
     """
-    answers = [records.answers(garment) for garment in range(garments)]
-    counts, delays = (np.stack(each, axis=2) for each in zip(*answers))
-    once, delays = (counts == 1).all(axis=2), delays.max(axis=2)
-    warm_up = round(WARM_UP_SECONDS * case.rate_hz)
+    once, delays, warm_up = (records.counts == 1).all(axis=2), records.delays.max(axis=2), _warm_up(case)
     late = delays[warm_up:][np.isfinite(delays[warm_up:])]
-    callback, process = 1e6 * records.cpu / max(1, once[warm_up:].sum())
     p50, p99 = np.percentile(late, (50, 99)).tolist() if len(late) else (None, None)
-    evaluations = records.evaluations()
-    evaluator = np.median(evaluations, axis=0).tolist() if len(evaluations) else (None, None)
+    (*before, _), (*after, load) = records.measured or [(0.0, 0.0, 0.0)] * 2
+    callback, process = 1e6 * np.subtract(after, before) / max(1, once[warm_up:].sum())
+    reported = [report for report in records.reports if report["evaluation p50 [us]"] != "none"]
+    evaluations = [[float(report[f"evaluation {which} [us]"]) for which in ("p50", "p99")] for report in reported]
+    evaluator = np.median(evaluations, axis=0).tolist() if evaluations else (None, None)
     return {
         "case": case.name,
         **vars(case),
@@ -139,8 +162,8 @@ def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, obj
         "process_us": float(process),
         "evaluator_p50_us": evaluator[0],
         "evaluator_p99_us": evaluator[1],
-        "overhead_us": float(callback - evaluator[0]) if len(evaluations) else None,
-        "load": float(records.load),
+        "overhead_us": float(callback - evaluator[0]) if evaluations else None,
+        "load": load,
     }
 
 

@@ -1,4 +1,8 @@
-"""Frames onto the page: what has changed is sent, meshes are made once an outfit."""
+"""Frames onto the page: what has changed is sent, meshes are made once an outfit.
+
+What moves has one colour a mesh: the page takes vertices alone from frame to frame. Cloth that stands still is sent
+once more, whole, in its fabric, with threads, stitches and hems.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.look.cloth_look import seen_from_afar
+from physkin_core.export.gltf_still import still_glb
+from physkin_core.look.cloth_look import cloth_look, seen_from_afar
+from physkin_core.render.filming import cloth_meshes
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
 from physkin_core.view.scene.scene_state import Frame
 from physkin_core.view.scene.worn_splats import SplatFrame
-from physkin_core.view.still_cloth import StillCloth
 from physkin_core.view.surface_node import SurfaceNode
 
 __all__ = ["Drawing", "Switches"]
@@ -23,6 +28,8 @@ BESIDE = 1.1
 NODE_COLOUR, NODE_SIZE = (0.95, 0.45, 0.05), 0.011
 NORMAL_COLOUR, NORMAL_LENGTH, MOST_NORMALS = (0.10, 0.10, 0.10), 0.02, 900
 """[m]; of each garment at most so many are drawn."""
+FROM_GLTF = (0.5, 0.5, 0.5, 0.5)
+"""Quaternion w, x, y, z from glTF's axes to those of the root."""
 
 
 @dataclass
@@ -53,34 +60,38 @@ class Drawing:
         self._surfaces: list[SurfaceNode] = []
         self._plain: list[SurfaceNode] = []
         self._marks: dict[str, object] = {}
-        self._still = StillCloth(page)
+        self._still: list = []
 
     def stand(self, frame: Frame) -> None:
         """Draw the frame drawn last once more, as what stands still: cloth in its fabric, where nothing is painted over
         it."""
         switches = self.switches
-        if self._still.shown or switches.heat == "strain" or switches.wireframe:
+        if self._still or switches.heat == "strain" or switches.wireframe:
             return
         if switches.splats and frame.splats is not None:
             return
         with self._page.server.atomic():
-            for k in self._still.show(frame.outfit, frame.cloth, frame.colours[1:]):
-                self._surfaces[1 + k].remove()
+            for k, (layer, points, colour) in enumerate(zip(frame.outfit.layers, frame.cloth, frame.colours[1:])):
+                look = cloth_look(layer.model.garment, layer.model.fabric, layer.face_visible, colour)
+                if look is not None:  # only of cloth that was cut flat
+                    content = still_glb(cloth_meshes(look, points[:, :3], layer.faces))
+                    name, how = f"/world/figure/fabric{k}", {"wxyz": FROM_GLTF, "receive_shadow": False}
+                    self._still.append(self._scene.add_glb(name, content, **how))
+                    self._surfaces[1 + k].remove()
 
     def show(self, frame: Frame) -> None:
         """Draw a frame as the switches are now."""
         with self._page.server.atomic():
-            self._still.remove()
+            while self._still:
+                self._still.pop().remove()
             if self.figures is None or frame.outfit is not self.figures.outfit:
                 self._change_outfit(frame)
             self._place(frame)
-            body, *cloth = self._surfaces
             self._paint(frame)
             self._show_plain(frame)
-            for surface, colour in zip((body, *cloth, *self._plain), 2 * _from_afar(frame)):
-                surface.colour = colour
-            for surface in (*cloth, *self._plain[1:]):
-                surface.wireframe = self.switches.wireframe
+            for figure in (self._surfaces, self._plain):
+                for k, (surface, colour) in enumerate(zip(figure, _from_afar(frame))):
+                    surface.look(colour, wireframe=self.switches.wireframe and k > 0)  # the first is the body
             self._show_marks(frame)
 
     def _change_outfit(self, frame: Frame) -> None:

@@ -56,7 +56,7 @@ class Page:
         with only_visitors(host), contextlib.redirect_stdout(box):
             self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
         # any browser could ask viser for a tunnel from the internet, though the button is not shown
-        self.server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)
+        self.server.request_share_url = lambda *_, **__: None
         self.server.gui.configure_theme(
             control_width="medium", show_logo=False, show_share_button=False, brand_color=(41, 107, 148)
         )

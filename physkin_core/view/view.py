@@ -13,7 +13,7 @@ from importlib import import_module
 from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.outfit.outfit_options import add_options, print_warnings
-from physkin_core.view.garment_files import GarmentFiles
+from physkin_core.view.garment_files import follow_files
 from physkin_core.view.own_meshes import OwnMeshes
 from physkin_core.view.page import Page
 
@@ -53,7 +53,6 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         motion=motion,
         fit=options.fit,
         own_clothes=options.own_clothes,
-        separate_limbs=options.separate_limbs,
         points=options.splats,
     )
     print_warnings(state.warnings)
@@ -66,12 +65,12 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         else:
             page.report(error)
 
-    files = GarmentFiles(state, report_change)
+    end_following = follow_files(state, report_change)
     try:
         begin(page, browser=not options.no_browser)
         page.run(viewer.tick)
     finally:
-        files.close()
+        end_following()
         viewer.close()
     return 0
 
@@ -99,18 +98,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="avatar file (default: the bundled one)")
     worn = ", ".join(WORN)
-    add_options(parser, "rig", "own-clothes", "garment", "tucked", "fit", "separate-limbs", worn=worn)
+    add_options(parser, "rig", "own-clothes", "garment", "tucked", "fit", worn=worn)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
         "--splats", metavar="PLY", help="Gaussian splats that lie on one of the garments; they are drawn instead of it"
     )
     parser.add_argument("--ros", action="store_true", help="show what a running ROS 2 node publishes")
-    parser.add_argument(
-        "--joint-states",
-        action="append",
-        metavar="TOPIC",
-        help="with --ros and AVATAR: topic of the body's poses (default joint_states); repeat it for several bodies",
-    )
     parser.add_argument(
         "--host", default="127.0.0.1", help="address to listen at (default: only this machine can open the page)"
     )

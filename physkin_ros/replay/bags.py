@@ -22,35 +22,27 @@ from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE, ODOMETRY, TRANS
 from physkin_ros.messages.conversions import CLOUD_FIELDS, FLOAT32
 from physkin_ros.replay.root_messages import RootMessages
 
-__all__ = ["STORAGES", "BagWriter", "write_motion"]
+__all__ = ["BagWriter", "write_motion"]
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-STORAGES = ("mcap", "sqlite3")
-SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
+SINGLE_FILES = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 METADATA_VERSION = 9  # of ROS 2 Jazzy
 
 
 class BagWriter:
     """Writes a bag (metadata version 9, ROS 2 Jazzy); of a `with` block that fails nothing is left.
 
-    path: a folder to make, or a single file when it ends in .mcap or .db3. storage: "mcap" or "sqlite3", None: by the
-    suffix, mcap for a folder. Raises BagError when `path` exists, cannot be written or contradicts `storage`.
+    path: a folder to make, or a single file that ends in .mcap or .db3. storage: of a folder, "mcap" or "sqlite3".
+    Raises BagError when `path` exists or cannot be written.
     """
 
-    def __init__(self, path: str | Path, *, storage: str | None = None) -> None:
+    def __init__(self, path: str | Path, *, storage: str = "mcap") -> None:
         self.path = Path(path)
-        implied = SUFFIXES.get(self.path.suffix)
-        storage = storage or implied or STORAGES[0]
-        if storage not in STORAGES:
-            raise BagError(f"unknown storage {storage!r}; allowed: {', '.join(STORAGES)}")
-        if implied not in (None, storage):
-            raise BagError(f"{self.path} would be a file of {implied}, not of {storage}: choose one of them")
+        self._plugin = SINGLE_FILES.get(self.path.suffix, StoragePlugin[storage.upper()])
         if self.path.exists():
             raise BagError(f"{self.path} exists already: choose another name, or remove it")
         if not self.path.parent.is_dir():
             raise BagError(f"cannot write {self.path}: there is no folder {self.path.parent}")
-        self._single = implied is not None
-        self._storage = storage
         self._connections: dict[str, object] = {}
 
     def __enter__(self) -> BagWriter:
@@ -59,9 +51,8 @@ class BagWriter:
         except OSError as error:
             raise BagError(f"cannot write {self.path}: {error.strerror}") from error
         with bag_errors(self.path):
-            plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[self._storage]
             bag = self._folder / self.path.name
-            self._writer = Writer(bag, version=METADATA_VERSION, storage_plugin=plugin)
+            self._writer = Writer(bag, version=METADATA_VERSION, storage_plugin=self._plugin)
             self._writer.open()
         return self
 
@@ -73,7 +64,7 @@ class BagWriter:
             with bag_errors(self.path):
                 self._writer.close()
                 made = self._folder / self.path.name
-                if self._single:
+                if self.path.suffix in SINGLE_FILES:
                     (made,) = made.glob(f"*{self.path.suffix}")
                 made.rename(self.path)
         finally:
@@ -113,7 +104,6 @@ def write_motion(
     motion: Motion,
     *,
     topic: str = "/joint_states",
-    gravity_topic: str = "/gravity",
     frame_id: str,
     world_frame: str = "",
 ) -> None:
@@ -126,7 +116,7 @@ def write_motion(
         time_ns = 1_000_000_000 + round(index * 1e9 / motion.rate_hz)
         stamp = Time(*divmod(time_ns, 1_000_000_000))
         header = Header(stamp, frame_id)
-        writer.write(gravity_topic, GRAVITY, Vector3Stamped(header, Vector3(*map(float, gravity))), time_ns)
+        writer.write("/gravity", GRAVITY, Vector3Stamped(header, Vector3(*map(float, gravity))), time_ns)
         if root is not None:
             writer.write("/odom", ODOMETRY, root.odometry(index, stamp), time_ns)
             writer.write("/tf", TRANSFORMS, root.transforms(index, stamp), time_ns)

@@ -8,60 +8,53 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, the_garment
-from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_core.separation.limb_separator import bind_limbs
 from physkin_core.sway.frame_input import checked_sway
-from physkin_ros.arguments import file_to_write, whole_number
+from physkin_ros.arguments import file_to_write
 from physkin_ros.joints.joint_naming import PRESETS
-from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.replay.bags import STORAGES, BagWriter
+from physkin_ros.replay.bags import BagWriter
 from physkin_ros.replay.figures import describe, load_baseline, regressions, summary
 from physkin_ros.replay.many_bags import holds_bags, replay_all
 from physkin_ros.replay.recorded_root import RecordedRoot
-from physkin_ros.replay.replay import GARMENT_TOPIC, replay
+from physkin_ros.replay.replay import replay
 from physkin_ros.replay.report import thumbnails, write_report
 
 __all__ = ["command_parser", "main", "replay_one"]
 
-WORLD = "world"
-CONTACT_CLOUDS = 24  # measured against the body, unless --contact-every says otherwise
+CONTACT_CLOUDS = 24
+"""About so many are measured against the body."""
 LIVE = (
     "With --live it only plays joint states and gravity to their topics, which needs ROS: physkin replay --live --help."
 )
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line. Returns 0, or 1 when something is worse than in the baseline, which is then told."""
+    """Command line. Returns 0, or 1 when something is worse than in the baseline or a bag of many was not replayed."""
     argv = sys.argv[1:] if argv is None else argv
     if "--live" in argv:
         from physkin_ros.tools.live import main as play_live
 
         return play_live(argv)
     options = command_parser().parse_args(argv)
-    if holds_bags(options.bag):
-        return replay_all(options, replay_one)
-    if options.processes is not None:
-        raise BagError(f"--processes {options.processes}: {options.bag} is no folder of bags")
-    return replay_one(options)
+    return replay_all(options, replay_one) if holds_bags(options.bag) else replay_one(options)
 
 
 def replay_one(options: argparse.Namespace) -> int:
-    """Drape one bag, write and tell what the options of `command_parser` ask for. Returns as `main` does."""
-    root = _root(options)
+    """Drape one bag, write and print what the options of `command_parser` ask for. Returns as `main` does."""
+    frames = {"frame_id": options.frame_id, "world_frame": options.world_frame}
+    root = RecordedRoot(options.orientation, sway=checked_sway(options.sway), **frames)
     baseline = load_baseline(options.baseline) if options.baseline else None
-    of_root = {"orientation": options.orientation, "orientation_topic": _orientation_topic(options)}
-    output = BagWriter(options.output, storage=options.storage) if options.output else nullcontext()
+    of_root = {"orientation": options.orientation, "orientation_topic": options.orientation_topic}
+    output = BagWriter(options.output) if options.output else nullcontext()
     with output as writer, BagReader(options.bag, topic=options.topic, root=["transforms"], **of_root) as bag:
-        draper, every = _draper(options), options.contact_every
-        if every is None:
-            every = max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
+        draper, every = _draper(options), max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
         separator = bind_limbs(draper.model.rig, draper.avatar) if options.separate_limbs else None
         settings = {"joint_map": options.joint_map, "root": root, "separator": separator, "contact_every": every}
-        found = replay(draper, bag, writer, topic=options.garment_topic, frame_id=options.frame_id, **settings)
-        if not found.frames:
+        found = replay(draper, bag, writer, frame_id=options.frame_id, **settings)
+        if not found.times_ns:
             why = f"; most often: {found.reasons.most_common(1)[0][0]}" if found.reasons else ""
             count = found.counts["joint_states"]
             raise BagError(f"bag {bag.path}: none of the {count} joint states on {bag.topic} could be draped{why}")
@@ -71,7 +64,7 @@ def replay_one(options: argparse.Namespace) -> int:
         options.json.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     worse = regressions(figures, baseline) if baseline else None
     if options.report:
-        write_report(options.report, figures, *thumbnails(found, draper, count=options.pictures), worse)
+        write_report(options.report, figures, *thumbnails(found, draper), worse)
     for line in worse or ():
         print(f"worse than {options.baseline}: {line}", file=sys.stderr)
     if worse == []:
@@ -79,29 +72,9 @@ def replay_one(options: argparse.Namespace) -> int:
     return 1 if worse else 0
 
 
-def _root(options: argparse.Namespace) -> RecordedRoot:
-    if options.world_frame is not None and options.orientation != "tf":
-        raise BagError(f"--world-frame is for --orientation tf, not {options.orientation}")
-    frames = {"frame_id": options.frame_id, "world_frame": options.world_frame or WORLD}
-    gravity, sway = gravity_direction(options.gravity), checked_sway(options.sway)
-    return RecordedRoot(options.orientation, gravity=gravity, sway=sway, **frames)
-
-
-def _orientation_topic(options: argparse.Namespace) -> str | None:
-    """Raises BagError for a topic of what is not asked for."""
-    given = {"--gravity-topic": options.gravity_topic, "--orientation-topic": options.orientation_topic}
-    fitting = {"gravity": "--gravity-topic", "tf": ""}.get(options.orientation, "--orientation-topic")
-    for option, topic in given.items():
-        if topic is not None and option != fitting:
-            instead = f"give {fitting}" if fitting else "TF is taken from /tf and /tf_static"
-            raise BagError(f"{option} {topic} is not for --orientation {options.orientation}: {instead}")
-    return given.get(fitting)
-
-
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(the_garment(options.garment, "replay drapes"))
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    draper = Draper(model, avatar, precision=options.precision, fit=options.fit, normals=options.normals)
+    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
     print_warnings(draper.avatar.warnings)
     return draper
 
@@ -126,64 +99,22 @@ def command_parser() -> argparse.ArgumentParser:
         default="gravity",
         help="what says which way is down and how the root moves (default %(default)s: a direction only)",
     )
-    parser.add_argument(
-        "--gravity-topic", help="topic of the direction of gravity (default /gravity, if the bag has it)"
-    )
-    parser.add_argument(
-        "--orientation-topic",
-        metavar="TOPIC",
-        help="topic of a pose, odometry or IMU (default /pose, /odom, /imu, or the only one)",
-    )
-    parser.add_argument("--world-frame", metavar="FRAME", help=f"upright frame of TF (default {WORLD})")
-    add_options(parser, "sway")
-    parser.add_argument(
-        "--gravity",
-        type=float,
-        nargs=3,
-        default=UPRIGHT_GRAVITY.tolist(),
-        metavar=("X", "Y", "Z"),
-        help="direction of gravity in the root frame, if no topic gives it (default: upright)",
-    )
-    parser.add_argument("--precision", choices=PRECISIONS, help="precision of the network weights (default int8)")
-    add_options(parser, "fit")
-    parser.add_argument(
-        "--normals",
-        choices=NORMALS,
-        default="skinned",
-        help="carried along with the cloth, or computed from the draped mesh",
-    )
-    add_options(parser, "separate-limbs")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
-    )
-    parser.add_argument(
-        "--processes",
-        type=whole_number(1),
-        metavar="N",
-        help="with a folder of bags: how many to replay at once (default 1)",
-    )
-    parser.add_argument("--storage", choices=STORAGES, help="format of an output folder (default mcap)")
-    parser.add_argument("--garment-topic", default=GARMENT_TOPIC, help="topic of the clouds (default %(default)s)")
+    usual = ", ".join(topic for name, topic in ORIENTATIONS.items() if name != "tf")
+    parser.add_argument("--orientation-topic", metavar="TOPIC", help=f"its topic (default {usual}, or the only one)")
     parser.add_argument(
         "--frame-id", default="base_link", help="frame of the clouds and of the root (default %(default)s)"
     )
     parser.add_argument(
-        "--contact-every",
-        type=whole_number(0),
-        metavar="N",
-        help=f"measure every Nth cloud against the body, 0: none (default: about {CONTACT_CLOUDS} clouds)",
+        "--world-frame", metavar="FRAME", default="world", help="upright frame of TF (default %(default)s)"
+    )
+    add_options(parser, "sway", "fit", "separate-limbs")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
     )
     parser.add_argument(
         "--json", type=file_to_write, metavar="FILE", help="write the figures; docs/replay.md explains the keys"
     )
     parser.add_argument("--report", type=file_to_write, metavar="FILE", help="write a self-contained HTML page")
-    parser.add_argument(
-        "--pictures",
-        type=whole_number(0),
-        default=6,
-        metavar="K",
-        help="number of pictures in the report (default %(default)s)",
-    )
     parser.add_argument(
         "--baseline",
         type=Path,

@@ -9,7 +9,7 @@ from physkin_core import Motion, load_body_model, load_motion
 from physkin_core.motion.loading import MOCAP_SUFFIXES
 from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
 from physkin_core.progress import progress_line
-from physkin_ros.replay.bags import STORAGES, BagWriter, write_motion
+from physkin_ros.replay.bags import BagWriter, write_motion
 
 __all__ = ["command_parser", "main"]
 
@@ -19,7 +19,6 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("motion", help="shipped clip (walk, dance, ...), motion file (.safetensors), .bvh or .amc")
     parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
-    parser.add_argument("--storage", choices=STORAGES, help="format of an output folder (default mcap)")
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; 60 for motion capture)"
     )
@@ -32,10 +31,6 @@ def command_parser() -> argparse.ArgumentParser:
         help="rate at which an .amc was recorded (default %(default)g)",
     )
     parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
-    parser.add_argument("--topic", default="/joint_states", help="topic of joint states (default %(default)s)")
-    parser.add_argument(
-        "--gravity-topic", default="/gravity", help="topic of the direction of gravity (default %(default)s)"
-    )
     parser.add_argument("--frame-id", default="base_link", help="TF frame of the root (default %(default)s)")
     parser.add_argument(
         "--world-frame",
@@ -48,14 +43,13 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns the exit status."""
     options = command_parser().parse_args(argv)
-    with BagWriter(options.output, storage=options.storage) as writer:  # first: a motion may take a while to read
+    with BagWriter(options.output) as writer:  # first: a motion may take a while to read
         motion = _motion(options)
         if options.rate is not None:
             motion = motion.resampled(options.rate)
         if options.seconds is not None:
             motion = motion.looped(options.seconds)
-        topics = {"topic": options.topic, "gravity_topic": options.gravity_topic, "frame_id": options.frame_id}
-        write_motion(writer, motion, world_frame=options.world_frame, **topics)
+        write_motion(writer, motion, frame_id=options.frame_id, world_frame=options.world_frame)
     print(f"wrote {options.output}: {motion.frame_count} joint states at {motion.rate_hz:g} Hz")
     return 0
 

@@ -56,17 +56,10 @@ LABELS = {
     "jitter_ratio": "jitter / plain skinning's",
 }
 """Figure -> what people read."""
-DECIMALS = {
-    "edge_strain_percent": 4,
-    "area_strain_percent": 4,
-    "jitter_mm": 5,
-    "jitter_skinning_mm": 5,
-    "latency_us": 1,
-    "inside_percent": 4,
-    "within_3mm_percent": 4,
-    "max_depth_mm": 4,
-}
-"""What is measured cloud by cloud -> decimals of its series."""
+MEASURED = (*(name for name in LABELS if name != "jitter_ratio"), "jitter_skinning_mm", "latency_us")
+"""What is measured cloud by cloud."""
+DECIMALS = 5
+"""Of a series."""
 COUNTS = (
     *("joint_states", "draped", "rejected", "gravity_messages", "gravity_rejected", "root_unknown"),
     *("names_unknown", "out_of_range_clouds"),
@@ -82,7 +75,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
     times = (np.array(found.times_ns) - found.times_ns[0]) / 1e9
     steps = np.diff(times)
     usual = float(np.median(steps)) if len(steps) else math.nan
-    measured = {name: np.array(found.measured[name]) for name in DECIMALS}
+    measured = {name: np.array(found.measured[name]) for name in MEASURED}
     gaps = np.ones(len(times), dtype=bool)  # over which nothing is differenced: the last two steps must be even
     even = (steps > 0) & (steps < LONGEST_STEP * usual)
     gaps[2:] = ~(even[1:] & even[:-1])
@@ -92,7 +85,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
     jitter, skinning = figures["jitter_mm"]["mean"], _spread(measured["jitter_skinning_mm"])["mean"]
     figures["jitter_skinning_mm"] = {"mean": skinning}
     figures["jitter_ratio"] = {"mean": jitter / skinning if jitter is not None and skinning else None}
-    series = {"time_s": times, "contact_time_s": times[found.contact_rows]} | measured
+    series = {"time_s": times, "contact_time_s": times[list(found.kept)]} | measured
     return {
         "schema": SCHEMA,
         "bag": {
@@ -117,7 +110,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
         },
         "counts": {
             **{name: found.counts[name] for name in COUNTS},
-            "contact_clouds": len(found.contact_rows),
+            "contact_clouds": len(found.kept),
             "jitter_clouds": int(np.isfinite(measured["jitter_mm"]).sum()),
         },
         "reasons": _most_frequent_first(found.reasons),
@@ -125,7 +118,7 @@ def describe(found: Replay, draper: Draper, bag: BagReader, *, contact_every: in
         "figures": figures,
         "latency_us": _spread(measured["latency_us"]),
         "clouds_sha256": found.clouds_sha256,
-        "series": {name: _rounded(values, DECIMALS.get(name, 6)) for name, values in series.items()},
+        "series": {name: _rounded(values) for name, values in series.items()},
     }
 
 
@@ -161,26 +154,32 @@ def regressions(figures: Mapping, baseline: Mapping) -> list[str]:
     return worse
 
 
-def summary(figures: Mapping) -> str:
-    """The figures in a few lines for a terminal."""
-    counts, run, latency = figures["counts"], figures["run"], figures["latency_us"]
-    rows = {
+def summary(figures: Mapping, tablefmt: str = "plain") -> str:
+    """What came of the bag and the figures, two tables. tablefmt: as of `tabulate`, which escapes for "html"."""
+    counts, bag, run = figures["counts"], figures["bag"], figures["run"]
+    rate = f", {bag['rate_hz']:.1f} Hz" if bag["rate_hz"] else ""
+    facts = {
         "garment": f"{run['model']}, {run['vertices']} vertices, fit {run['fit']:g}, on {run['avatar']}",
-        "joint states": f"{counts['joint_states']} in {figures['bag']['duration_s']:.2f} s",
+        "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
+        "joint states": f"{counts['joint_states']} on {bag['topic']}, {bag['duration_s']:.2f} s{rate}",
         "draped / rejected": f"{counts['draped']} / {counts['rejected']}",
         f"{ROOT[run['orientation']]} / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",
-        "clouds out of training range": f"{counts['out_of_range_clouds']}",
+        "instruction set": run["instruction_set"],
     }
     if counts["root_unknown"]:
-        rows["draped without knowing where the root is"] = f"{counts['root_unknown']}"
-    for name, label in LABELS.items():
-        spread = figures["figures"][name]
-        if spread["mean"] is not None:
-            tail = f", p95 {spread['p95']:.3f}, max {spread['max']:.3f}" if "p95" in spread else ""
-            rows[label] = f"mean {spread['mean']:.3f}{tail}"
-    rows["evaluator [µs]"] = f"p50 {latency['p50']:.1f}, p99 {latency['p99']:.1f} ({run['instruction_set']})"
-    rows |= {f"rejected {count} times": reason for reason, count in list(figures["reasons"].items())[:5]}
-    return tabulate(rows.items(), tablefmt="plain", disable_numparse=True)
+        facts["draped without knowing where the root is"] = f"{counts['root_unknown']}"
+    if counts["out_of_range_clouds"]:
+        joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])
+        facts["beyond joint limits"] = f"{counts['out_of_range_clouds']} clouds: {joints}"
+    reasons = [(f"rejected {count} times", reason) for reason, count in list(figures["reasons"].items())[:5]]
+    spreads = {label: figures["figures"][name] for name, label in LABELS.items()}
+    spreads["evaluator [µs]"] = figures["latency_us"]
+    rows = [[label, *map(spread.get, SPREAD)] for label, spread in spreads.items()]
+    tables = [
+        tabulate([*facts.items(), *reasons], tablefmt=tablefmt, disable_numparse=True),
+        tabulate(rows, ["", *SPREAD], tablefmt=tablefmt, floatfmt=".3f", missingval=""),
+    ]
+    return "\n\n".join(tables)
 
 
 def _spread(values: np.ndarray) -> dict[str, float | None]:
@@ -196,8 +195,8 @@ def _most_frequent_first(counter: Counter) -> dict[str, int]:
     return dict(sorted(counter.items(), key=lambda item: (-item[1], item[0])))
 
 
-def _rounded(values: np.ndarray, decimals: int) -> list[float | None]:
-    return [None if math.isnan(value) else round(value, decimals) for value in values.tolist()]
+def _rounded(values: np.ndarray) -> list[float | None]:
+    return [None if math.isnan(value) else round(value, DECIMALS) for value in values.tolist()]
 
 
 def _number(figures: Mapping, *keys: str) -> float | None:

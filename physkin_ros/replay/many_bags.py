@@ -1,4 +1,4 @@
-"""All bags of a folder replayed, one after the other or several at once, with one page over all.
+"""All bags of a folder replayed, one after the other, with one page over all.
 
 What is written of a bag lies in a folder of its own; one that is finished with the same settings is not done again.
 """
@@ -7,13 +7,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import shutil
-import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from physkin_core.motion.bag_reader import BagError
@@ -28,9 +23,6 @@ SETTINGS, FIGURES, REPORT, CLOUDS = "settings.json", "figures.json", "report.htm
 OVERVIEW = "replay.html"
 ONE_BAG = ("json", "report", "baseline")
 """Options for one bag; of many, figures and reports are always written."""
-NOT_SETTINGS = (*ONE_BAG, "bag", "output", "processes")
-
-Replayed = Callable[[argparse.Namespace], int]
 
 
 def holds_bags(path: Path) -> bool:
@@ -46,11 +38,11 @@ def bags_in(folder: Path) -> list[Path]:
     return found
 
 
-def replay_all(options: argparse.Namespace, replay_one: Replayed) -> int:
+def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Namespace], int]) -> int:
     """Replay every bag of the folder `options.bag` into `options.output`, and write the page over all.
 
-    replay_one: of one bag, a function of a module. A bag that cannot be replayed is a row of the page with the reason.
-    Returns 0, or 1 when there is one. Raises BagError for options that are for one bag, or no output folder.
+    A bag that cannot be replayed is a row of the page with the reason. Returns 0, or 1 when there is one. Raises
+    BagError for options that are for one bag, or no output folder.
     """
     for name in ONE_BAG:
         if getattr(options, name) is not None:
@@ -62,71 +54,36 @@ def replay_all(options: argparse.Namespace, replay_one: Replayed) -> int:
         raise BagError(f"--output {output} is a file; for a folder of bags a folder is needed")
     if output.resolve() == options.bag.resolve():
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
-    bags = {bag: output / bag.name for bag in bags_in(options.bag)}
+    bags = bags_in(options.bag)
     output.mkdir(parents=True, exist_ok=True)
-    failed: dict[Path, str] = {}
-    to_do = [bag for bag, folder in bags.items() if not _finished(folder, _settings(options, bag))]
+    failed: dict[str, str] = {}
+    to_do = [bag for bag in bags if _settings_of(output / bag.name) != _settings(options, bag)]
     print(f"{len(bags)} bags, {len(bags) - len(to_do)} of them finished")
     watch = progress_line(f"replaying {len(to_do)} bags")
-    with closing(_replayed(options, to_do, bags, replay_one)) as replayed:
-        for done, (bag, reason) in enumerate(replayed, 1):
-            if reason:
-                failed[bag] = reason
-            print(f"{done} of {len(to_do)}: {bag.name}: {reason or 'replayed'}")
-            _write_page(output, bags, failed)
-            watch(done / len(to_do))
+    for done, bag in enumerate(to_do, 1):
+        if reason := _replay_into(output / bag.name, options, bag, replay_one):
+            failed[bag.name] = reason
+        print(f"{done} of {len(to_do)}: {bag.name}: {reason or 'replayed'}")
+        _write_page(output, bags, failed)
+        watch(done / len(to_do))
     _write_page(output, bags, failed)
     print(f"wrote {output / OVERVIEW}")
     return 1 if failed else 0
 
 
-def _replayed(
-    options: argparse.Namespace, to_do: Sequence[Path], bags: Mapping[Path, Path], replay_one: Replayed
-) -> Iterator[tuple[Path, str]]:
-    """Each bag with why it could not be replayed, as they are done."""
-    jobs = {bag: (replay_one, _options_of(options, bag, bags[bag]), _settings(options, bag)) for bag in to_do}
-    if (options.processes or 1) == 1:
-        yield from ((bag, _replay_into(*job)) for bag, job in jobs.items())
-        return
-    with ProcessPoolExecutor(options.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)  # processes inherit that: they are ended from here
-        futures = {pool.submit(_replay_into, *job): bag for bag, job in jobs.items()}
-        signal.signal(signal.SIGINT, interrupt)
-        try:
-            for future in as_completed(futures):
-                yield futures[future], _reason(future)
-        except BaseException:  # an interrupt, too: left alone, the pool would replay all bags before it ends
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-
-
-def _reason(future: Future) -> str:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return "a process was lost; the same command goes on"
-
-
-def _options_of(options: argparse.Namespace, bag: Path, folder: Path) -> argparse.Namespace:
-    written = {"output": folder / CLOUDS, "json": folder / FIGURES, "report": folder / REPORT}
-    return argparse.Namespace(**(vars(options) | {"bag": bag} | written))
-
-
-def _replay_into(replay_one: Replayed, options: argparse.Namespace, settings: dict) -> str:
+def _replay_into(folder: Path, options: argparse.Namespace, bag: Path, replay_one: Callable) -> str:
     """Replay a bag into its folder; its settings are written last. Returns why it could not be."""
-    folder = options.output.parent
     folder.mkdir(exist_ok=True)
-    for clouds in (folder / CLOUDS, *folder.glob(f".{CLOUDS}-*")):  # the latter of a process that was ended
+    for clouds in (folder / CLOUDS, *folder.glob(f".{CLOUDS}-*")):  # the latter of a run that was ended
         shutil.rmtree(clouds, ignore_errors=True)
     for name in (SETTINGS, FIGURES, REPORT):
         (folder / name).unlink(missing_ok=True)
+    written = {"output": folder / CLOUDS, "json": folder / FIGURES, "report": folder / REPORT}
     try:
-        replay_one(options)
+        replay_one(argparse.Namespace(**(vars(options) | {"bag": bag} | written)))
     except (ValueError, OSError) as error:
         return str(error)
-    (folder / SETTINGS).write_text(json.dumps(settings))
+    (folder / SETTINGS).write_text(json.dumps(_settings(options, bag)))
     return ""
 
 
@@ -134,21 +91,23 @@ def _settings(options: argparse.Namespace, bag: Path) -> dict:
     """What the clouds depend on, as far as can be told without reading the bag: its files' sizes and times, options."""
     files = sorted(bag.rglob("*")) if bag.is_dir() else [bag]
     stamps = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in files]
-    chosen = {name: str(value) for name, value in vars(options).items() if name not in NOT_SETTINGS}
+    chosen = {name: str(value) for name, value in vars(options).items() if name not in (*ONE_BAG, "bag", "output")}
     return {"bag": stamps, "options": chosen}
 
 
-def _finished(folder: Path, settings: dict) -> bool:
+def _settings_of(folder: Path) -> dict | None:
+    """Those of what a folder holds, None where it is not finished."""
     try:
-        return json.loads((folder / SETTINGS).read_text()) == settings
+        return json.loads((folder / SETTINGS).read_text())
     except (OSError, ValueError):
-        return False
+        return None
 
 
-def _write_page(output: Path, bags: Mapping[Path, Path], failed: Mapping[Path, str]) -> None:
+def _write_page(output: Path, bags: list[Path], failed: Mapping[str, str]) -> None:
     rows = []
-    for bag, folder in bags.items():
+    for bag in bags:
+        folder = output / bag.name
         done = (folder / SETTINGS).exists()
         figures = json.loads((folder / FIGURES).read_text(encoding="utf-8")) if done else None
-        rows.append((bag.name, f"{folder.name}/{REPORT}", figures, failed.get(bag, "")))
+        rows.append((bag.name, f"{folder.name}/{REPORT}", figures, failed.get(bag.name, "")))
     write_overview(output / OVERVIEW, rows)

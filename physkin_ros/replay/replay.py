@@ -42,12 +42,12 @@ class Replay:
     counts: joint_states, draped, rejected, gravity_messages, gravity_rejected (of whatever tells where the root is),
     root_unknown, names_unknown, out_of_range_clouds.
     reasons: why messages were rejected, with how often. out_of_range: clouds with a joint beyond its limits, by joint.
-    frames, times_ns: (T,) which joint state of the bag each cloud answers, and its time of recording.
-    positions, inputs: (T, d) [rad] and (T, 1, 13), what was draped, as `Outfit.bind_frame` takes it.
-    down: (T, 3) gravity's unit direction.
+    times_ns: (T,) when the joint state of each cloud was recorded.
+    positions: (T, d) [rad] that were draped. down: (T, 3) gravity's unit direction.
     measured: by name as in `--json`, (T,) each: edge_strain_percent, area_strain_percent, latency_us; jitter_mm, mean
     second difference of the vertices over this and the two clouds before, NaN for the first two, jitter_skinning_mm,
-    the same of plain skinning. Of the clouds `contact_rows` (C,): inside_percent, within_3mm_percent, max_depth_mm.
+    the same of plain skinning; and of C clouds inside_percent, within_3mm_percent, max_depth_mm.
+    kept: of each of these C its index among all, and its points (n, 6).
     bag_sha256: of all messages and their times: whether two bags are the same recording. clouds_sha256: of all clouds.
     """
 
@@ -56,13 +56,11 @@ class Replay:
     counts: Counter = field(default_factory=Counter)
     reasons: Counter = field(default_factory=Counter)
     out_of_range: Counter = field(default_factory=Counter)
-    frames: list[int] = field(default_factory=list)
     times_ns: list[int] = field(default_factory=list)
     positions: list[np.ndarray] = field(default_factory=list)
-    inputs: list[np.ndarray] = field(default_factory=list)
     down: list[np.ndarray] = field(default_factory=list)
     measured: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
-    contact_rows: list[int] = field(default_factory=list)
+    kept: dict[int, np.ndarray] = field(default_factory=dict)
     bag_sha256: str = ""
     clouds_sha256: str = ""
 
@@ -82,7 +80,6 @@ def replay(
     separator: LimbSeparator | None = None,
     root: RecordedRoot | None = None,
     contact_every: int = 0,
-    topic: str = GARMENT_TOPIC,
     frame_id: str = "base_link",
 ) -> Replay:
     """Drape every joint state of `bag`.
@@ -98,8 +95,8 @@ def replay(
     reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.update)
     recent = _Recent(draper, found)
     pose, points = reader.positions.astype(np.float32), np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    inputs, draped = root.rows, pose.copy()
-    step = draper.bind_frame(draped, inputs, points)
+    draped = pose.copy()
+    step = draper.bind_frame(draped, root.rows, points)
     for _ in range(WARM_UP):  # the first evaluations pay for cold caches, which is not what a latency means here
         step()
     messages, clouds = hashlib.sha256(), hashlib.sha256()
@@ -137,16 +134,14 @@ def replay(
         reader.positions = pose
         found.counts["root_unknown"] += bool(root.fault)
         found.counts["draped"] += 1
-        found.frames.append(index)
         found.times_ns.append(message.time_ns)
         found.positions.append(draped.copy())
-        found.inputs.append(inputs.copy())
         found.down.append(root.down)
         found.measured["latency_us"].append(latency_us)
         recent.measure(points, contact=contact_every > 0 and index % contact_every == 0)
         clouds.update(points.tobytes())
         if writer is not None:
-            writer.write_cloud(topic, points, state.header.stamp, frame_id, message.time_ns)
+            writer.write_cloud(GARMENT_TOPIC, points, state.header.stamp, frame_id, message.time_ns)
     found.counts["names_unknown"] = len(unknown)
     found.bag_sha256, found.clouds_sha256 = messages.hexdigest(), clouds.hexdigest()
     return found
@@ -177,6 +172,6 @@ class _Recent:
         if contact:
             body = draper.avatar
             distances = signed_distance(vertices, body.posed_vertices(bones), body.faces)
-            found.contact_rows.append(len(found.frames) - 1)
+            found.kept[len(found.times_ns) - 1] = points.copy()
             for name, value in contact_figures(distances).items():
                 measured[name].append(value)

@@ -10,24 +10,23 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import Template
 from urllib.parse import quote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from tabulate import tabulate
 
-from physkin_core import Draper, FrameInput
+from physkin_core import Draper
 from physkin_core.extras import install_command
 from physkin_core.picture import PictureError, render, save_png
 from physkin_core.render.filming import dressed_meshes
-from physkin_ros.replay.figures import LABELS, SPREAD
+from physkin_ros.replay.figures import LABELS, summary
 from physkin_ros.replay.replay import Replay
 
 __all__ = ["thumbnails", "write_overview", "write_report"]
 
-PICTURE_SIZE = (240, 320)
-REMEMBERED = 120
-"""Clouds after which cloth has forgotten what was before."""
+PICTURES, PICTURE_SIZE = 6, (240, 320)
 PLOTS = {
     "Edge strain [%]": ("edge_strain_percent",),
     "Area strain [%]": ("area_strain_percent",),
@@ -37,29 +36,38 @@ PLOTS = {
     "Evaluator [µs]": ("latency_us",),
 }
 """Title -> series drawn."""
-STYLE = """
+PAGE = Template("""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>$title</title>
+<style>
 body { font: 15px/1.45 system-ui, sans-serif; color: #23272e; max-width: 900px; margin: 2em auto; padding: 0 1em }
-h1 { font-size: 1.4em } h2 { font-size: 1.05em; margin: 1.6em 0 .3em } img { max-width: 100% }
-table { border-collapse: collapse } td, th { padding: .15em .9em .15em 0; text-align: left; vertical-align: top }
+h1 { font-size: 1.4em } img { max-width: 100% }
+table { border-collapse: collapse; margin: 1em 0 }
+td, th { padding: .15em .9em .15em 0; text-align: left; vertical-align: top }
 figure { display: inline-block; margin: 0 .4em .6em 0 } figcaption { font-size: .85em; color: #667 }
 .worse { color: #a3261b } .well { color: #2c6e3f }
-"""
+</style>
+<h1>$title</h1>
+$body
+</html>
+""")
 
 
-def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple[str, bytes]], str]:
-    """Up to `count` pictures of body and garment, spread over the bag, gravity pointing down: caption and PNG each.
+def thumbnails(found: Replay, draper: Draper) -> tuple[list[tuple[str, bytes]], str]:
+    """Pictures of body and garment, spread over the bag, gravity pointing down: caption and PNG each.
 
     Also a remark for the page: empty, or why there are none.
     """
-    if count == 0:
+    kept = list(found.kept)
+    if not kept:
         return [], ""
-    chosen = np.unique(np.linspace(0, len(found.frames) - 1, count).round().astype(int))
+    chosen = [kept[k] for k in np.unique(np.linspace(0, len(kept) - 1, PICTURES).round().astype(int))]
     scenes = []
     for row in chosen:
-        cloth = _cloth(found, draper, row)
-        body = draper.outfit.posed_body(found.positions[row])
         upright = Rotation.align_vectors([[0.0, 0.0, -1.0]], [found.down[row]])[0]
-        scenes.append((upright.apply(body), upright.apply(cloth)))
+        shown = draper.outfit.posed_body(found.positions[row]), found.kept[row][:, :3].astype(np.float64)
+        scenes.append([upright.apply(points) for points in shown])
     drawn = np.concatenate([points for scene in scenes for points in scene])
     bounds = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
     pictures = []
@@ -73,20 +81,6 @@ def thumbnails(found: Replay, draper: Draper, *, count: int) -> tuple[list[tuple
     return pictures, ""
 
 
-def _cloth(found: Replay, draper: Draper, row: int) -> np.ndarray:
-    """Vertices (n, 3) of a cloud once more, draped from a second or two before on: it remembers no more than that."""
-    pose, inputs = found.positions[row].copy(), found.inputs[row].copy()
-    points = np.zeros((draper.vertex_count, 6), dtype=np.float32)
-    step = draper.bind_frame(pose, inputs, points)
-    first = max(0, row - REMEMBERED)
-    for each in range(first, row + 1):
-        pose[:], inputs[:] = found.positions[each], found.inputs[each]
-        if each == first:
-            inputs[:, 3:] = FrameInput(1).rows[:, 3:]  # the first frame of all
-        step()
-    return points[:, :3].astype(np.float64)
-
-
 def write_report(
     path: Path,
     figures: Mapping,
@@ -97,19 +91,16 @@ def write_report(
     """Write the page. figures: from `describe`. pictures, remark: from `thumbnails`. worse: from `regressions`, None
     when there is no baseline."""
     title = f"{figures['run']['model']} on {figures['run']['avatar']}, replayed from {figures['bag']['name']}"
-    parts = [f"<h1>{html.escape(title)}</h1>"]
+    parts = []
     if worse:
         parts.append(f'<p class="worse">Worse than the baseline:<br>{"<br>".join(map(html.escape, worse))}</p>')
     elif worse is not None:
         parts.append('<p class="well">Not worse than the baseline.</p>')
-    parts += [_counts_table(figures), "<h2>Figures</h2>", _figures_table(figures)]
+    parts.append(summary(figures, "html"))
     for caption, png in pictures:
-        width, caption = f'width="{PICTURE_SIZE[0]}"', html.escape(caption)
-        parts.append(
-            f"<figure>{_image(png, f'garment at {caption}', width)}<figcaption>{caption}</figcaption></figure>"
-        )
-    parts += [f"<p>{html.escape(remark)}</p>", _plots(figures["series"])]
-    path.write_text(_page(title, parts), "utf-8")
+        image = _image(png, f"garment at {html.escape(caption)}")
+        parts.append(f"<figure>{image}<figcaption>{html.escape(caption)}</figcaption></figure>")
+    _write_page(path, title, [*parts, f"<p>{html.escape(remark)}</p>", _plots(figures["series"])])
 
 
 def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]]) -> None:
@@ -126,40 +117,13 @@ def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, st
         link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
         rows.append([link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means])
     header, formats = ["bag", "draped", "rejected", "s", *LABELS.values()], ["", "", "", ".2f", *[".3f"] * len(LABELS)]
-    title, table = f"{len(bags)} bags", tabulate(rows, header, "unsafehtml", floatfmt=formats, missingval="")
-    parts = [f"<h1>{title}</h1>", *failed, "<p>Means over clouds.</p>", table]
-    path.write_text(_page(title, parts), "utf-8")
+    table = tabulate(rows, header, "unsafehtml", floatfmt=formats, missingval="")
+    _write_page(path, f"{len(bags)} bags", [*failed, "<p>Means over clouds.</p>", table])
 
 
-def _page(title: str, parts: Sequence[str]) -> str:
-    head = f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-    return head + f"<style>{STYLE}</style>\n" + "\n".join(parts) + "\n</html>\n"
-
-
-def _counts_table(figures: Mapping) -> str:
-    counts, bag, run = figures["counts"], figures["bag"], figures["run"]
-    rate = f", {bag['rate_hz']:.1f} Hz" if bag["rate_hz"] else ""
-    rows = {
-        "joint states": f"{counts['joint_states']} on {bag['topic']}, {bag['duration_s']:.2f} s{rate}",
-        "draped": f"{counts['draped']}",
-        "rejected": f"{counts['rejected']}",
-        "gravity": f"{counts['gravity_messages']} messages, {counts['gravity_rejected']} rejected",
-        "garment": f"{run['vertices']} vertices, fit {run['fit']:g} (0: one size, 1: made to measure)",
-        "at rest": f"{run['at_rest']['inside_percent']:.1f} % of the cloth inside the body",
-        "evaluator": f"instruction set {run['instruction_set']}",
-    }
-    if counts["out_of_range_clouds"]:
-        joints = ", ".join(f"{name} ({count})" for name, count in list(figures["out_of_range"].items())[:6])
-        rows["beyond joint limits"] = f"{counts['out_of_range_clouds']} clouds: {joints}"
-    rows |= {f"rejected {count} times": reason for reason, count in figures["reasons"].items()}
-    return tabulate(rows.items(), tablefmt="html", disable_numparse=True)
-
-
-def _figures_table(figures: Mapping) -> str:
-    spreads = {label: figures["figures"][name] for name, label in LABELS.items()}
-    spreads["evaluator [µs]"] = figures["latency_us"]
-    rows = [[label, *map(spread.get, SPREAD)] for label, spread in spreads.items()]
-    return tabulate(rows, ["", *SPREAD], tablefmt="html", floatfmt=".3f", missingval="")
+def _write_page(path: Path, title: str, parts: Sequence[str]) -> None:
+    """parts: HTML."""
+    path.write_text(PAGE.substitute(title=html.escape(title), body="\n".join(parts)), "utf-8")
 
 
 def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
@@ -183,5 +147,5 @@ def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
     return _image(png.getvalue(), "plots over time [s]")
 
 
-def _image(png: bytes, text: str, attributes: str = "") -> str:
-    return f'<img src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}" alt="{text}" {attributes}>'
+def _image(png: bytes, text: str) -> str:
+    return f'<img src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}" alt="{text}">'

@@ -28,7 +28,7 @@ STEP = 20_000_000
 """[ns]"""
 
 
-def write_bag(path, *, storage=None, names=lambda k: ["hip"], count=5, pause=0):
+def write_bag(path, *, storage="mcap", names=lambda k: ["hip"], count=5, pause=0):
     """Joint states, the last after a pause [steps]."""
     with BagWriter(path, storage=storage) as writer:
         for k in range(count):

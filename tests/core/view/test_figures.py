@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import time
 from concurrent.futures import CancelledError
@@ -93,22 +92,6 @@ def test_process_answers_as_the_function_and_tells_of_errors(dressed):
         process.ask(replace(question, body_faces=question.body_faces + len(question.body)))
         with pytest.raises(IndexError):
             _answer(process)
-    finally:
-        process.close()
-
-
-def test_a_process_that_was_ended_is_replaced(dressed):
-    figures, frame = dressed
-    question, process = figures.question(frame), FigureProcess()
-    try:
-        process.ask(question)
-        (pid,) = process._pool._processes
-        os.kill(pid, signal.SIGKILL)
-        with pytest.raises(BrokenProcessPool):
-            _answer(process)
-        process.restart()
-        process.ask(question)
-        assert _answer(process).inside_percent == look_at_contact(question).inside_percent
     finally:
         process.close()
 

@@ -11,7 +11,7 @@ import pytest
 
 from physkin_core.model.model_file import MODELS_PATH
 from physkin_core.view import garment_files
-from physkin_core.view.garment_files import GarmentFiles
+from physkin_core.view.garment_files import follow_files
 
 
 class State(SimpleNamespace):
@@ -39,7 +39,7 @@ def test_what_was_written_anew_is_worn(own):
     """In the same outfit, tucked as before; a shipped name is no file; an error is told, and looking goes on."""
     state = State(garments=("trousers", f"{own}:denim"), tucked=frozenset(["trousers"]), worn=[], broken=False)
     told, heard = [], Event()
-    files = GarmentFiles(state, lambda error: (told.append(error), heard.set()))
+    end = follow_files(state, lambda error: (told.append(error), heard.set()))
     try:
         assert not state.worn
         written_anew(own)
@@ -49,7 +49,8 @@ def test_what_was_written_anew_is_worn(own):
         state.broken = True
         written_anew(own)
         assert heard.wait(5) and str(told[1]) == "broken"
+        heard.clear()
         own.unlink()
-        assert not files.look(), "a file that is gone is no new one"
+        assert not heard.wait(0.1), "a file that is gone is no new one"
     finally:
-        files.close()
+        end()

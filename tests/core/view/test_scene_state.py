@@ -152,25 +152,15 @@ def test_plain_skinning_is_computed_where_asked_for(state):
 
 
 def test_outfit_in_order_with_colours(asset_loader):
-    """Garments from the skin outwards, one tucked; what was chosen for a garment stays with it."""
+    """Garments from the skin outwards, one tucked; a colour that was chosen for a garment stays with it, in another
+    place and of another fabric."""
     state = SceneState(asset_loader, ["tshirt", "trousers"], tucked=["tshirt"])
     assert isinstance(state.outfit, Outfit) and [layer.name for layer in state.outfit.layers] == ["tshirt", "trousers"]
     state.recolour(body=(0.1, 0.2, 0.3), cloth=[(1.0, 0.0, 0.0), state.cloth_colours[1]])
-    state.wear(["trousers", "tshirt"])
+    state.wear(["trousers", "tshirt:denim"])
     frame = state.advance(0.0)
     assert state.tucked == frozenset() and frame.colours[2] == (1.0, 0.0, 0.0) and frame.colours[0] == (0.1, 0.2, 0.3)
     assert len(frame.cloth) == 2 and frame.outfit is state.outfit
-
-
-def test_a_colour_stays_with_a_garment_of_another_fabric(asset_loader):
-    """Chosen for the skirt, it is the denim skirt's, and the jersey one's again."""
-    state = SceneState(asset_loader, ["skirt"])
-    red = (1.0, 0.0, 0.0)
-    state.recolour(body=state.body_colour, cloth=[red])
-    state.wear(["skirt:denim"])
-    assert state.garments == ("skirt:denim",) and state.cloth_colours == (red,)
-    state.wear(["skirt"])
-    assert state.cloth_colours == (red,)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,10 @@
-"""Files that browsers send, over a real socket."""
+"""Files that browsers send, one of them over a real socket."""
 
 from __future__ import annotations
 
 import threading
 import time
-from itertools import count
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,26 +19,35 @@ from websockets.sync.client import connect  # noqa: E402
 
 from physkin_core.view.page import Page  # noqa: E402
 
-NUMBERS = count()
+CAMERA = {"wxyz": (1, 0, 0, 0), "position": (0, 0, 0), "look_at": (1, 0, 0), "up_direction": (0, 0, 1)}
+CAMERA |= {"fov": 1.0, "near": 0.1, "far": 9.0, "image_height": 9, "image_width": 9}
 
 
 class Sender:
-    """A page with one button, and a browser that sends files to it. loaded: name and content of those that came; told:
-    the notices. A file of the content b"bad" cannot be read."""
+    """Uploads with one button. loaded: name and content of files that came; told: the notices. A file of the content
+    b"bad" cannot be read."""
 
-    def __init__(self, port: int) -> None:
-        self.page, self.loaded, self.told = Page(port=port), [], []
-        self.page.notice = lambda title, body="", *, kind="done": self.told.append(body)
-        self.uploads = Uploads(self.page)
+    def __init__(self) -> None:
+        self.loaded, self.told, self._take = [], [], None
+        button = SimpleNamespace(on_upload=lambda take: setattr(self, "_take", take))
+        gui = SimpleNamespace(add_upload_button=lambda label, **_: button)
+        self.uploads = Uploads(
+            SimpleNamespace(
+                server=SimpleNamespace(gui=gui),
+                notice=lambda title, body: self.told.append(body),
+                guarded=self._guarded,
+            )
+        )
         self.uploads.add_button("Send", hint="", load=self._load)
-        (self._button,) = self.uploads._loads
-        self.open()
 
-    def open(self) -> None:
-        protocol = f"viser-v{viser.__version__}"
-        address = f"ws://localhost:{self.page.server.get_port()}"
-        self._socket = connect(address, subprotocols=[protocol], max_size=None, compression=None)
-        threading.Thread(target=lambda socket: [None for _ in socket], args=(self._socket,), daemon=True).start()
+    def _guarded(self, callback):
+        def called(*arguments) -> None:
+            try:
+                callback(*arguments)
+            except (ValueError, OSError) as error:
+                self.told.append(str(error))
+
+        return called
 
     def _load(self, path) -> None:
         content = path.read_bytes()
@@ -46,101 +55,81 @@ class Sender:
             raise ValueError("it cannot be read")
         self.loaded.append((path.name, content))
 
-    def send(self, name: str, parts: list[bytes], *, size: int | None = None, announced: int | None = None) -> None:
-        """size, announced: what is said of its bytes and parts, which may be a lie."""
-        transfer = str(next(NUMBERS))
-        keys = {"source_component_uuid": self._button, "transfer_uuid": transfer}
-        size = sum(map(len, parts)) if size is None else size
-        announced = len(parts) if announced is None else announced
-        start = {"filename": name, "mime_type": "", "part_count": announced, "size_bytes": size}
-        self._message(type="FileTransferStartUpload", **keys, **start)
-        for index, content in enumerate(parts):
-            self._message(type="FileTransferPart", **keys, part_index=index, content=content)
-
-    def _message(self, **fields) -> None:
-        self._socket.send(msgspec.msgpack.encode(fields))
-
-    def until(self, true) -> None:
-        end = time.monotonic() + 20
-        while not true():
-            assert time.monotonic() < end, (self.loaded, self.told)
-            time.sleep(0.01)
+    def send(self, name: str, content: bytes) -> None:
+        self._take(SimpleNamespace(target=SimpleNamespace(value=SimpleNamespace(name=name, content=content))))
 
     def files(self) -> list[str]:
         folder = self.uploads._kept.parent
         return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
-    def close(self) -> None:
-        self._socket.close()
-        self.page.server.stop()
-
 
 @pytest.fixture
 def sender():
-    made = Sender(8398)
-    yield made
-    made.close()
+    return Sender()
 
 
 def test_files_come_as_they_were_sent(sender):
-    """In parts, one after the other; a companion is kept, and stands beside what is read next."""
-    sender.send("../../evil/me.glb", [b"x" * 1000, b"y"])
-    sender.send("walk.asf", [b"z"])
-    sender.send("C:\\here\\walk.amc", [b"a"])
-    sender.until(lambda: len(sender.loaded) == 2)
-    assert sender.loaded == [("me.glb", b"x" * 1000 + b"y"), ("walk.amc", b"a")]
+    """Under their plain names; a companion is kept, and stands beside what is read next."""
+    sender.send("../../evil/me.glb", b"x" * 1000)
+    sender.send("walk.asf", b"z")
+    sender.send("C:\\here\\walk.amc", b"a")
+    assert sender.loaded == [("me.glb", b"x" * 1000), ("walk.amc", b"a")]
     assert sender.files() == ["kept/me.glb", "kept/walk.amc", "kept/walk.asf"]
     assert sender.told == ["now send the file that it goes with"]
 
 
 def test_what_cannot_be_read_does_not_stay(sender):
     """And what it would have replaced is there again."""
-    sender.send("me.glb", [b"good"])
-    sender.send("me.glb", [b"bad"])
-    sender.send("you.glb", [b"bad"])
-    sender.until(lambda: len(sender.told) == 2)
+    for name, content in (("me.glb", b"good"), ("me.glb", b"bad"), ("you.glb", b"bad")):
+        sender.send(name, content)
     assert sender.told == ["it cannot be read"] * 2 and sender.files() == ["kept/me.glb"]
     assert (sender.uploads._kept / "me.glb").read_bytes() == b"good"
-    sender.send("me.glb", [b"better"])
-    sender.until(lambda: len(sender.loaded) == 2)
-    assert sender.files() == ["kept/me.glb"]
+    sender.send("me.glb", b"better")
+    assert sender.loaded[-1] == ("me.glb", b"better") and sender.files() == ["kept/me.glb"]
 
 
 @pytest.mark.parametrize(
-    ("sent", "told"),
+    ("name", "content", "told"),
     [
-        ({"name": "..", "parts": [b"x"]}, "'..' is not a file name; rename it"),
-        ({"name": "a\0b.glb", "parts": [b"x"]}, "is not a file name; rename it"),
-        ({"name": "x" * 400, "parts": [b"x"]}, "File name too long"),
-        ({"name": "no.glb", "parts": []}, "'no.glb' has 0 bytes; allowed are 1 to 268435456"),
-        ({"name": "\x1b[2J" + "x" * 9000, "parts": [], "size": 1 << 40}, "'\\x1b[2Jxxx"),
-        ({"name": "less.glb", "parts": [b"x", b"y"], "size": 3}, "did not arrive as announced"),
-        ({"name": "more.glb", "parts": [b"x" * 100, b"y"], "size": 9}, "did not arrive as announced"),
+        ("..", b"x", "'..' is not a file name; rename it"),
+        ("a\0b.glb", b"x", "is not a file name; rename it"),
+        ("x" * 400, b"x", "File name too long"),
+        ("no.glb", b"", "'no.glb' has 0 bytes; allowed are 1 to 40"),
+        ("\x1b[2J" + "x" * 9000, b"x" * 41, "'\\x1b[2Jxxx"),
+        ("more.glb", b"x" * 39, "'more.glb' is too much: the page has 30 bytes of files, of 60; start it anew"),
     ],
 )
-def test_what_is_refused(sender, sent, told):
+def test_what_is_refused(name, content, told, sender, monkeypatch):
     """In a sentence, once, without a file that stays; the next one is taken."""
-    sender.send(**sent)
-    sender.until(lambda: sender.told)
-    sender.send("me.glb", [b"x"])
-    sender.until(lambda: sender.loaded)
-    assert len(sender.told) == 1 and told in sender.told[0] and len(sender.told[0]) <= 300
-    assert sender.files() == ["kept/me.glb"]
+    monkeypatch.setattr(module, "LARGEST", 40)
+    monkeypatch.setattr(module, "MOST", 60)
+    sender.send("first.glb", b"x" * 30)
+    sender.send(name, content)
+    sender.send("me.glb", b"x")
+    assert [each for each, _ in sender.loaded] == ["first.glb", "me.glb"]
+    (said,) = sender.told
+    assert told in said and sender.files() == ["kept/first.glb", "kept/me.glb"]
 
 
-def test_all_that_is_sent_is_limited(sender, monkeypatch):
-    """What is kept counts, and what is on its way, until its browser is gone."""
-    monkeypatch.setattr(module, "MOST", 1000)
-    sender.send("kept.glb", [b"x" * 500])
-    sender.until(lambda: sender.loaded)
-    sender.send("coming.glb", [b"x"], size=400, announced=2)
-    sender.send("toomuch.glb", [b"x" * 101])
-    sender.until(lambda: sender.told)
-    assert "'toomuch.glb' is too much: the page has 900 bytes of files" in sender.told[0]
-    sender._socket.close()
-    sender.until(lambda: not sender.uploads._arriving and sender.files() == ["kept/kept.glb"])
-    sender.open()
-    for k in range(module.MOST_ARRIVING + 1):
-        sender.send(f"{k}.glb", [], size=1, announced=1)
-    sender.until(lambda: len(sender.told) == 2)
-    assert "'8.glb' has to wait: 8 files are on their way" in sender.told[1]
+def test_a_browser_sends_a_file():
+    """Over a real socket, as viser's page does."""
+    page, loaded = Page(port=8398), []
+    Uploads(page).add_button("Send", hint="", load=lambda path: loaded.append((path.name, path.read_bytes())))
+    address, protocol = f"ws://localhost:{page.server.get_port()}", f"viser-v{viser.__version__}"
+    (button,) = page.server.gui._gui_input_handle_from_uuid
+    keys = {"source_component_uuid": button, "transfer_uuid": "1"}
+    start = {"filename": "me.glb", "mime_type": "", "part_count": 2, "size_bytes": 3}
+    try:
+        with connect(address, subprotocols=[protocol], max_size=None, compression=None) as socket:
+            threading.Thread(target=lambda: [None for _ in socket], daemon=True).start()
+            socket.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **CAMERA}))  # what a browser begins with
+            socket.send(msgspec.msgpack.encode({"type": "FileTransferStartUpload", **keys, **start}))
+            for index, content in enumerate((b"ab", b"c")):
+                part = {"type": "FileTransferPart", **keys, "part_index": index, "content": content}
+                socket.send(msgspec.msgpack.encode(part))
+            end = time.monotonic() + 20
+            while not loaded and time.monotonic() < end:
+                time.sleep(0.01)
+        assert loaded == [("me.glb", b"abc")]
+    finally:
+        page.server.stop()

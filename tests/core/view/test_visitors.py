@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import threading
 
 import pytest
 
@@ -79,7 +80,16 @@ def test_a_name_that_leads_here_is_not_served(page):
         connection.close()
 
 
-def test_no_browser_can_have_a_tunnel_opened(page):
-    from viser import _messages
+def test_no_browser_can_have_a_tunnel_opened(page, monkeypatch):
+    """What asks for one ends in a function of the page's own, which opens none."""
+    import msgspec
+    import viser
+    from websockets.sync.client import connect
 
-    assert _messages.ShareUrlRequest not in page.server._websock_server._incoming_handlers
+    assert page.server.request_share_url() is None
+    asked = threading.Event()
+    monkeypatch.setattr(page.server, "request_share_url", asked.set)
+    how = {"subprotocols": [f"viser-v{viser.__version__}"], "max_size": None, "compression": None}
+    with connect(f"ws://localhost:{page.server.get_port()}", **how) as socket:
+        socket.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+        assert asked.wait(20)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from physkin_core import BUNDLED_AVATAR, Draper, Motion, load_avatar, load_garment_model, load_motion
@@ -15,7 +16,9 @@ def avatar(leaning_model):
 
 @pytest.fixture
 def quick(avatar, monkeypatch):
-    """For the command line: the avatar that was read already."""
+    """For the command line: the avatar that was read already, and blank pictures."""
+    blank = np.zeros((4, 4, 3), dtype=np.uint8)
+    monkeypatch.setattr("physkin_ros.replay.report.render", lambda *_, **__: blank)
     monkeypatch.setattr("physkin_ros.replay.command.load_avatar", lambda *arguments, **settings: avatar)
 
 

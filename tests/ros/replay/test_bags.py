@@ -96,7 +96,7 @@ def test_convert_writes_what_the_clip_holds(tmp_path, capsys):
     np.testing.assert_allclose(np.diff(times), 1e9 / 60, atol=1)
     assert [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states] == times.tolist()
     slow = tmp_path / "slow"
-    assert cli.main(["convert", "walk", str(slow), "--rate", "30", "--seconds", "2", "--storage", "sqlite3"]) == 0
+    assert cli.main(["convert", "walk", str(slow), "--rate", "30", "--seconds", "2"]) == 0
     assert sum(topic == "/joint_states" for topic, *_ in recorded(slow)) == 60
 
 
@@ -129,14 +129,14 @@ def test_convert_writes_where_the_root_is(tmp_path):
     assert {topic for topic, *_ in recorded(none)} == {"/gravity", "/joint_states"}
 
 
-@pytest.mark.parametrize("output", ["{tmp}/there", "/proc/out.mcap", "{tmp}/no/out", "{tmp}/a.db3 --storage mcap"])
+@pytest.mark.parametrize("output", ["{tmp}/there", "/proc/out.mcap", "{tmp}/no/out"])
 def test_convert_refuses_an_output_before_it_reads_the_motion(output, tmp_path, monkeypatch, capsys):
     """Reading motion capture may take a minute."""
     monkeypatch.setattr("physkin_ros.replay.convert.load_mocap", lambda *_, **__: pytest.fail("the motion was read"))
     (tmp_path / "there").mkdir()
-    words = output.format(tmp=tmp_path).split()
-    assert cli.main(["convert", "walk.bvh", *words]) == 2
-    assert words[0] in capsys.readouterr().err
+    output = output.format(tmp=tmp_path)
+    assert cli.main(["convert", "walk.bvh", output]) == 2
+    assert output in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 

@@ -29,11 +29,11 @@ from physkin_ros.replay.figures import TOLERANCES, BaselineError, load_baseline,
 def test_baseline_of_the_same_run_passes(quick, leaning_model_path, bag, tmp_path, capsys):
     """And its report says so."""
     old, page, output = tmp_path / "old.json", tmp_path / "page.html", tmp_path / "out"
-    arguments = ["replay", str(bag), "-g", str(leaning_model_path), "--contact-every", "12"]
+    arguments = ["replay", str(bag), "-g", str(leaning_model_path)]
     assert cli.main([*arguments, "--json", str(old), "-o", str(output)]) == 0
     clouds = np.stack([read_cloud(message) for _, _, message in recorded(output)])
     assert json.loads(old.read_text())["clouds_sha256"] == hashlib.sha256(clouds.tobytes()).hexdigest()
-    again = ["--baseline", str(old), "--report", str(page), "--pictures", "0", "--json", str(tmp_path / "new.json")]
+    again = ["--baseline", str(old), "--report", str(page), "--json", str(tmp_path / "new.json")]
     assert cli.main([*arguments, *again]) == 0
     assert "not worse than" in capsys.readouterr().out and "Not worse than the baseline" in page.read_text()
 
@@ -44,10 +44,10 @@ def test_worse_garment_fails_against_the_baseline(quick, leaning_model, leaning_
     crumpled = dataclasses.replace(leaning_model, node_deformer=(*layers, (30 * weight, 30 * bias)))
     save_garment_model(crumpled, tmp_path / "crumpled.safetensors")
     old, page = tmp_path / "old.json", tmp_path / "page.html"
-    arguments = ["replay", str(bag), "--contact-every", "0"]
+    arguments = ["replay", str(bag)]
     assert cli.main([*arguments, "-g", str(leaning_model_path), "--json", str(old)]) == 0
     worse = ["-g", str(tmp_path / "crumpled.safetensors"), "--baseline", str(old)]
-    assert cli.main([*arguments, *worse, "--report", str(page), "--pictures", "0"]) == 1
+    assert cli.main([*arguments, *worse, "--report", str(page)]) == 1
     captured = capsys.readouterr()
     assert "edge_strain_percent mean is" in captured.err and "Worse than the baseline" in page.read_text()
 
@@ -126,14 +126,14 @@ def test_little_is_enough_for_a_page(count, run, draper, tmp_path, monkeypatch):
         writer.write("/gravity", GRAVITY, gravity(0, 0, 1), 7)
         for _ in range(count):
             writer.write("/joint_states", JOINT_STATE, joint_state(draper.joint_names, draper.model.rig.rest), 7)
-    found, figures = run(path)
+    found, figures = run(path, contact_every=count)
     assert figures["counts"]["draped"] == count and figures["figures"]["jitter_mm"]["mean"] is None
-    assert figures["bag"]["rate_hz"] is None and figures["figures"]["inside_percent"]["max"] is None
+    assert figures["bag"]["rate_hz"] is None
     report.write_report(page, json.loads(json.dumps(figures, allow_nan=False)))
     assert "</table>" in page.read_text() and summary(figures)
     blank = np.zeros((4, 4, 3), dtype=np.uint8)
     monkeypatch.setattr(report, "render", lambda meshes, **_: scenes.append(meshes) or blank)
-    report.thumbnails(found, draper, count=2)
+    report.thumbnails(found, draper)
     body = scenes[0][0].vertices
     assert body[body[:, 2].argmax()] @ [0, 0, 1] == pytest.approx(-draper.avatar.vertices[:, 2].min(), abs=1e-3)
 
@@ -147,7 +147,7 @@ def test_missing_pictures_are_explained(found_and_figures, draper, tmp_path, mon
     monkeypatch.setattr(report, "render", no_picture)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     found, figures = found_and_figures
-    pictures, remark = report.thumbnails(found, draper, count=2)
+    pictures, remark = report.thumbnails(found, draper)
     assert not pictures
     report.write_report(tmp_path / "page.html", figures, pictures, remark)
     page = (tmp_path / "page.html").read_text()
@@ -155,12 +155,13 @@ def test_missing_pictures_are_explained(found_and_figures, draper, tmp_path, mon
 
 
 def test_pictures_in_the_page(found_and_figures, draper, tmp_path, monkeypatch):
-    """First and last cloud, and the plots, as PNG."""
+    """Clouds that were measured, and the plots, as PNG."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
     monkeypatch.setattr(report, "PICTURE_SIZE", (24, 32))
+    monkeypatch.setattr(report, "PICTURES", 2)
     found, figures = found_and_figures
-    pictures, remark = report.thumbnails(found, draper, count=2)
-    assert [caption for caption, _ in pictures] == ["0.00 s", "0.18 s"] and not remark
+    pictures, remark = report.thumbnails(found, draper)
+    assert [caption for caption, _ in pictures] == ["0.00 s", "0.13 s"] and not remark
     report.write_report(tmp_path / "page.html", figures, pictures)
     assert (tmp_path / "page.html").read_text().count('<img src="data:image/png;base64,iVBORw0KGgo') == 3
 

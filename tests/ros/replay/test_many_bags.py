@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import shutil
-import time
 
 import pytest
 
@@ -16,8 +14,10 @@ from physkin_ros.replay import many_bags  # noqa: E402
 
 
 @pytest.fixture
-def bags(bag, tmp_path):
-    """Two bags and a file that is none."""
+def bags(bag, tmp_path, draper, quick, monkeypatch):
+    """Two bags and a file that is none; the garment is bound once, and nothing is plotted."""
+    monkeypatch.setattr("physkin_ros.replay.command._draper", lambda _: draper)
+    monkeypatch.setattr("physkin_ros.replay.report._plots", lambda _: "")
     folder = tmp_path / "bags"
     folder.mkdir()
     for name in ("one.mcap", "two.mcap"):
@@ -27,14 +27,13 @@ def bags(bag, tmp_path):
     return folder
 
 
-def command(bags, *more, output="out"):
-    return ["replay", str(bags), "-o", str(bags.parent / output), "--contact-every", "0", "--pictures", "0", *more]
+def command(bags, *more):
+    return ["replay", str(bags), "-o", str(bags.parent / "out"), *more]
 
 
-def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, capsys):
+def test_every_bag_is_replayed_once(bags, tmp_path, capsys):
     """One that cannot be read is a row with the reason; what is finished is done again only with other settings."""
-    model = ["-g", str(leaning_model_path)]
-    assert cli.main(command(bags, *model)) == 1
+    assert cli.main(command(bags)) == 1
     printed = capsys.readouterr().out
     assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: replayed" in printed
     out = tmp_path / "out"
@@ -46,42 +45,29 @@ def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, c
     assert f"{figures['figures']['edge_strain_percent']['mean']:.3f}" in page
     (bags / "broken.mcap").unlink()
     written = (out / "one.mcap" / "figures.json").stat().st_mtime_ns
-    assert cli.main(command(bags, *model)) == 0
+    assert cli.main(command(bags)) == 0
     assert "2 bags, 2 of them finished" in capsys.readouterr().out
     assert (out / "one.mcap" / "figures.json").stat().st_mtime_ns == written
     shutil.copy(bags / "one.mcap", bags / "two.mcap")
-    assert cli.main(command(bags, *model)) == 0
+    assert cli.main(command(bags)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out, "its file is a newer one"
-    assert cli.main(command(bags, *model, "--normals", "faces")) == 0
+    assert cli.main(command(bags, "--fit", "0")) == 0
     assert "2 bags, 0 of them finished" in capsys.readouterr().out
     assert sorted(path.name for path in bags.iterdir()) == ["notes.txt", "one.mcap", "two.mcap"]
 
 
-def test_an_interrupt_ends_all_processes(bags, quick, leaning_model_path, tmp_path, monkeypatch, capfd):
-    """At once and without a word, where bags are still to be done."""
-    for index in range(20):
-        shutil.copy(bags / "one.mcap", bags / f"more{index}.mcap")
+def test_what_was_interrupted_goes_on(bags, monkeypatch, capsys):
+    """With the bags that are left."""
+    (bags / "broken.mcap").unlink()
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
-    assert cli.main(command(bags, "-g", str(leaning_model_path), "--processes", "2")) == 130
-    until = time.monotonic() + 10
-    while multiprocessing.active_children() and time.monotonic() < until:
-        time.sleep(0.02)  # joining is not enough: the pool's thread may reap a process first, and tell of it later
-    assert not multiprocessing.active_children() and len(list(tmp_path.glob("out/*/settings.json"))) < 10
-    assert "Traceback" not in capfd.readouterr().err
-
-
-@pytest.mark.slow
-def test_processes_give_the_same_clouds(bags, leaning_model_path, tmp_path, capsys):
-    (bags / "broken.mcap").unlink()
-    model = ["-g", str(leaning_model_path)]
-    assert cli.main(command(bags, *model)) == 0
-    assert cli.main(command(bags, *model, "--processes", "2", output="two")) == 0
-    found = [json.loads((tmp_path / name / "two.mcap" / "figures.json").read_text()) for name in ("out", "two")]
-    assert found[0]["clouds_sha256"] == found[1]["clouds_sha256"]
+    with monkeypatch.context() as patch:
+        patch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
+        assert cli.main(command(bags)) == 130
+    assert cli.main(command(bags)) == 0
+    assert "2 bags, 1 of them finished" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -92,7 +78,6 @@ def test_processes_give_the_same_clouds(bags, leaning_model_path, tmp_path, caps
         (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; for a folder of bags a folder is needed"),
         (["{bags}", "-o", "{tmp}/out", "--json", "{tmp}/x.json"], "--json is for a single bag"),
         (["{bags}", "-o", "{tmp}/out", "--baseline", "{tmp}/x.json"], "--baseline is for a single bag"),
-        (["{bags}/one.mcap", "--processes", "2"], "--processes 2: {bags}/one.mcap is no folder of bags"),
         (["{tmp}/empty", "-o", "{tmp}/out"], "empty is no bag and holds none"),
     ],
 )

@@ -18,13 +18,13 @@ CASE = Case(2, 5.0)  # whose warm-up is the first five joint states of each avat
 
 def test_figures_of_a_case(made_records):
     """Share of all clouds that came once, also in the warm-up; without that, percentiles and processor time."""
-    row = figures(CASE, made_records([9, None] + [8] * 8 + [1] * 18 + [3, None], avatars=2, repeated=[12], strangers=1))
+    row = figures(CASE, made_records([9, None] + [8] * 8 + [1] * 18 + [3, None], avatars=2, repeated=[12]))
     assert (row["case"], row["sent"], row["delivered_percent"]) == ("2x5", 30, 90.0)  # two lost, one twice
     assert row["p50_ms"] == 1.0 and row["p99_ms"] == pytest.approx(np.percentile([1] * 18 + [3], 99))
     assert (row["callback_us"], row["process_us"]) == (pytest.approx(200.0), pytest.approx(300.0))
     assert (row["evaluator_p50_us"], row["evaluator_p99_us"], row["load"]) == (52.0, 80.0, 2.0)
     assert row["overhead_us"] == pytest.approx(148.0)
-    nothing = figures(CASE, made_records([None] * 20, avatars=2, reports=[]))
+    nothing = figures(CASE, made_records([None] * 20, avatars=2, reports=[], measured=()))
     assert nothing["delivered_percent"] == 0 and nothing["p99_ms"] is nothing["overhead_us"] is None
 
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import os
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from physkin_core import BUNDLED_AVATAR, load_garment_model
+from physkin_core import BUNDLED_AVATAR, load_garment_model, load_motion
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from physkin_bench.ros_bench import Case, figures  # noqa: E402
-from physkin_ros.tools.children import Children  # noqa: E402
-from physkin_ros.tools.trial import finish, start_node, start_playing  # noqa: E402
+from physkin_ros.tools.trial import NodeProcess, node_parameters, play_to_node  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")
 
@@ -67,18 +67,17 @@ def test_soak(domain, tmp_path, seconds):
     others = os.getloadavg()[0]
     bodies = tmp_path / "bodies"
     bodies.mkdir()
-    with Children(os.environ, tmp_path) as children:
-        settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": MODEL}, "queue": None}
-        start_node(children, tmp_path, GARMENTS, asset_roots=[str(bodies)], **settings)
-        node = SimpleNamespace(pid=children.pid("node"), poll=lambda: children.finished("node") or None)
-        site = Site(domain, node, [])
+    parameters = node_parameters(GARMENTS, [{"model": MODEL}], orientation="fixed") | {"asset_roots": [str(bodies)]}
+    motion = load_motion("dance").resampled(RATE_HZ).looped(seconds)
+    with NodeProcess(parameters, tmp_path) as node, ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        site = Site(domain, node._process, [])
         try:
-            start_playing(children, tmp_path, GARMENTS, "dance", RATE_HZ, seconds)
-            usage, swaps = _disturb(site, bodies, lambda: children.finished("player"))
-            row = figures(Case(GARMENTS, RATE_HZ), finish(children, tmp_path, seconds))
+            playing = pool.submit(play_to_node, motion, avatars=GARMENTS)
+            usage, swaps = _disturb(site, bodies, playing.done)
+            row = figures(Case(GARMENTS, RATE_HZ), playing.result())
         finally:
             site.close()
-    text = children.log("node")
+    text = node.log()
     settled = usage.settled()
     assert swaps > 1.5 * GARMENTS
     print(

@@ -1,12 +1,12 @@
-"""What demo and benchmark share: waiting until the node answers, counting, and children that leave nothing behind."""
+"""What demo and benchmark share: waiting until the node answers, counting, and a node that leaves nothing behind."""
 
 from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 from threading import Thread
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,17 +15,11 @@ from physkin_core import load_motion
 
 rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from rclpy.experimental import EventsExecutor  # noqa: E402
 from sensor_msgs.msg import JointState, PointCloud2  # noqa: E402
 
 from physkin_ros.messages.conversions import GarmentCloud  # noqa: E402
-from physkin_ros.middleware.spinning import spin_until  # noqa: E402
-from physkin_ros.middleware.transport import private_environment  # noqa: E402
-from physkin_ros.node.config_file import load_config  # noqa: E402
-from physkin_ros.tools.children import ChildFailedError, Children  # noqa: E402
-from physkin_ros.tools.listener import Listener  # noqa: E402
-from physkin_ros.tools.player import play  # noqa: E402
-from physkin_ros.tools.trial import Records, start_node  # noqa: E402
+from physkin_ros.tools import trial  # noqa: E402
+from physkin_ros.tools.trial import NodeProcess, TrialError, node_parameters, play_to_node  # noqa: E402
 
 
 class LateGarment:
@@ -36,7 +30,7 @@ class LateGarment:
         self.asked, self.late = 0, late
         self.cloud = GarmentCloud(3, "base_link")
         self.cloud.points[:] = 1.0
-        self.publisher = node.create_publisher(PointCloud2, "drape_node/a0/g/garment", 100)
+        self.publisher = node.create_publisher(PointCloud2, "drape_node/a0/g0/garment", 100)
         node.create_subscription(JointState, "a0/joint_states", self.on_state, 100)
 
     def on_state(self, state) -> None:
@@ -45,77 +39,68 @@ class LateGarment:
             self.cloud.publish(self.publisher, state.header.stamp.sec, state.header.stamp.nanosec)
 
 
-@pytest.mark.parametrize("fit", [None, 0.0])
-def test_the_node_is_started_as_told(fit, tmp_path):
-    """A garment's parameter that is None is left to the node."""
-    children = SimpleNamespace(start=lambda *command: None)
-    start_node(children, tmp_path, 2, avatar={}, garment={"model": "tshirt", "fit": fit}, queue=None)
-    found = load_config(tmp_path / "avatars.yaml").avatars
-    assert [(each.id, each.garments[0].model, each.garments[0].fit) for each in found] == [
-        ("a0", "tshirt", fit),
-        ("a1", "tshirt", fit),
-    ]
-
-
 @pytest.fixture
-def executor(domain):
-    rclpy.init(args=[], domain_id=domain)
-    yield EventsExecutor()
-    rclpy.try_shutdown()
+def late_garment(domain):
+    """In a context of its own, spun by a thread."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = rclpy.create_node("garment", context=context)
+    garment = LateGarment(node, late=3)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    spinning = Thread(target=executor.spin)
+    spinning.start()
+    yield garment
+    executor.shutdown()
+    spinning.join()
+    node.destroy_node()
+    context.try_shutdown()
 
 
-def test_nothing_is_lost_between_discovery_and_readiness(executor, tmp_path):
+def test_nothing_is_lost_between_discovery_and_readiness(late_garment):
     """A joint state sent before the garment answers would count as lost; questions and answers count as nothing."""
     motion = load_motion("walk").resampled(30.0).looped(0.2)
-    node, listener = rclpy.create_node("garment"), Listener(1, motion, keep_every=2)
-    garment = LateGarment(node, late=3)
-    executor.add_node(node)
-    executor.add_node(listener)
-    assert listener.wait_until_answered(executor, 20) and garment.asked > 3
-    played = {}
-    player = Thread(target=lambda: played.update(play(rclpy.create_node("player"), motion, 1, watched=os.getpid())))
-    player.start()
-    assert spin_until(executor, 20, lambda: not player.is_alive())
-    listener.save(tmp_path / "received.npz")
-    with np.load(tmp_path / "received.npz") as received:
-        records = Records(**played, **received)
-    counts, delays = records.answers()
-    np.testing.assert_array_equal(counts, np.ones((6, 1)))
-    assert len(records.received) == 6 and (delays > 0).all() and records.kept.shape == (3, 3, 6)
-    assert 0 < records.cpu[0] <= records.cpu[1]
+    records = play_to_node(motion, keep_every=2, warm_up=3, measure=time.monotonic)
+    assert late_garment.asked > 3
+    np.testing.assert_array_equal(records.counts, np.ones((6, 1, 1)))
+    assert (records.delays > 0).all() and records.strangers == records.not_finite == 0
+    assert list(records.kept) == [0, 2, 4] and records.kept[0][0].shape == (3, 6)
+    before, after = records.measured
+    assert 0.1 <= after - before - trial.DRAIN_SECONDS < 10
 
 
-def test_answers_are_matched_by_avatar_and_stamp(made_records):
+def test_answers_are_matched_by_avatar_and_stamp(domain):
     """Whatever order they come in; one that came twice is counted, a lost one has no delay, a stranger is nobody's."""
-    records = made_records([1, 2, None, 3, 1, 1], avatars=2, repeated=[5], strangers=2)
-    counts, delays = records.answers()
-    np.testing.assert_array_equal(counts, [[1, 1], [0, 1], [1, 2]])
-    np.testing.assert_array_equal(delays, [[1, 2], [np.nan, 3], [1, 1]])
-    np.testing.assert_array_equal(records.evaluations(), [[50, 70], [54, 90], [52, 80]])
-    counts, delays = made_records([None, None]).answers()
-    assert not counts.any() and np.isnan(delays).all()
+    rclpy.init(args=[], domain_id=domain)
+    listener = trial.Listener(2, 1)
+    listener.arrived |= {(0, 0, 10): [2_000_010, 3_000_000], (1, 0, 20): [1_000_020], (1, 0, 10): [5], (0, 0, 30): [40]}
+    records = listener.records(np.array([[10, 20], [30, 40]]))
+    listener.destroy_node()
+    rclpy.try_shutdown()
+    np.testing.assert_array_equal(records.counts[..., 0], [[2, 1], [1, 0]])
+    np.testing.assert_array_equal(records.delays[..., 0], [[2, 1], [1e-5, np.nan]])
+    assert records.strangers == 1
 
 
-def test_child_that_fails_is_heard(tmp_path):
-    """Waiting ends at once, with what the child wrote."""
-    with Children(os.environ, tmp_path) as children:
-        children.start("player", "physkin_ros.tools.player", tmp_path / "sent.npz", 1, "nosuchmotion", 60, 1)
-        with pytest.raises(ChildFailedError, match="player ended with status 2:\nerror: .*'nosuchmotion'"):
-            children.wait(lambda: False, "a miracle", seconds=30)
+def test_a_node_that_fails_is_heard(tmp_path, domain):
+    """Waiting ends at once, with what it said."""
+    with NodeProcess(node_parameters(1, [{"model": "nosuch"}]), tmp_path) as node:
+        with pytest.raises(TrialError, match="the node ended with status 2:\n(?s:.*)nosuch"):
+            play_to_node(load_motion("walk"), check=node.check)
 
 
-def test_killed_child_leaves_no_shared_memory(tmp_path, monkeypatch):
+def test_killed_node_leaves_no_shared_memory(tmp_path, domain, monkeypatch):
     """One that must be killed cannot tidy up, so its parent does."""
-    monkeypatch.setattr("physkin_ros.tools.children.STOP_SECONDS", 0.5)
-    with Children(private_environment(), tmp_path) as children:
-        children.start(
-            "listener", "physkin_ros.tools.listener", tmp_path / "received.npz", 1, "walk", tmp_path / "sent"
-        )
-        pid = children.pid("listener")
-        children.wait(lambda: len(_shared_memory_of(pid)) > 1, "the listener", seconds=60)
-        opened = _shared_memory_of(pid)
-        os.kill(pid, signal.SIGSTOP)  # deaf to SIGINT, so that it is killed
-    assert not Path(f"/proc/{pid}").exists()
+    monkeypatch.setattr(trial, "STOP_SECONDS", 0.5)
+    with NodeProcess(node_parameters(1, [{"model": "tshirt"}]), tmp_path) as node:
+        end = time.monotonic() + 60
+        while len(_shared_memory_of(node.pid)) < 2:
+            node.check()
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        opened = _shared_memory_of(node.pid)
+        os.kill(node.pid, signal.SIGSTOP)  # deaf to SIGINT, so that it is killed
+    assert not Path(f"/proc/{node.pid}").exists()
     assert not [path for path in opened if path.exists()]
 
 
