@@ -18,7 +18,6 @@ from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.kept import Kept
 from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import (
-    CODEC,
     AvatarRequest,
     LoadedAvatar,
     LoadedOutfit,
@@ -35,6 +34,7 @@ from physkin_core.points.splats_on_outfit import SplatsOnOutfit, splats_on_outfi
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import WornGarment
 from physkin_core.separation.limb_separator import BoundLimbs, fit_limbs
+from physkin_core.worker.shared_arrays import array_bytes
 
 __all__ = ["KEPT_BYTES", "Loading"]
 
@@ -102,7 +102,7 @@ class Loading:
         model = self._kept.get(key)
         if model is None:
             model = load_garment_model(name, content=content)
-            self._kept.keep(key, model, sum(array.nbytes for array in model.arrays().values()))
+            self._keep(key, model)
         return model, key
 
     def _avatar(self, body: Path, rig_file: str, digest: str, model: GarmentModel) -> Avatar:
@@ -123,7 +123,7 @@ class Loading:
         return limbs
 
     def _keep(self, key: Hashable, value: object) -> None:
-        self._kept.keep(key, value, sum(array.nbytes for array in CODEC.encode(value)[1]))
+        self._kept.keep(key, value, array_bytes(value))
 
 
 def _splats(points: str, bound: BoundOutfit) -> tuple[SplatsOnOutfit | None, str]:
