@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from physkin_core.file_reading import Budget, ContentError, shown
+from physkin_core.file_reading import ContentError, shown
 
 __all__ = ["DEFLATED", "deflate_tensors", "inflate_tensors"]
 
@@ -28,8 +28,8 @@ LEAST_DEFLATED = 512
 """[bytes] Smaller tensors would save less than their entry takes."""
 KINDS = ("plain", "rows", "numbers")
 """Floating point numbers are plain."""
-MOST_INFLATED = 1 << 28
-"""[bytes] Of all tensors of a file; the shipped ones take 5 million."""
+MOST_INFLATED = 1040
+"""Times its own size, which no deflate stream exceeds."""
 RAW, MOST_MEMORY = -zlib.MAX_WBITS, 9
 
 
@@ -53,16 +53,17 @@ def inflate_tensors(
     """Metadata and tensors of a file as they were before they were deflated.
 
     Raises ContentError for an entry that makes no sense, and for a stream that is damaged or does not hold just as many
-    bytes as its entry says. No more is allocated than entries say, `MOST_INFLATED` in all.
+    bytes as its entry says. No more is allocated than entries say, and these no more than streams can hold.
     """
-    plain, inflated, budget = dict(metadata), dict(tensors), Budget(MOST_INFLATED)
+    plain, inflated = dict(metadata), dict(tensors)
     entries = _entries(plain.pop(DEFLATED, "{}"))
     for name, entry in entries.items():
         if name not in tensors:
             raise ContentError(f"it lacks {shown(name)}, which its metadata name among what is deflated")
         dtype, shape, kind = _described(name, entry)
         size = math.prod(shape) * dtype.itemsize
-        budget.charge(size, f"{shown(name)}, inflated,")
+        if size > MOST_INFLATED * tensors[name].nbytes:
+            raise ContentError(f"{shown(name)} cannot be {shown(size)} bytes, deflated to {tensors[name].nbytes}")
         planes = np.frombuffer(_inflate(name, tensors[name], size), np.uint8).reshape(dtype.itemsize, -1)
         tensor = np.ascontiguousarray(planes.T).view(dtype).reshape(shape)
         if kind != "plain":

@@ -13,7 +13,6 @@ from physkin_core.file_reading import ContentError
 from physkin_core.formats.deflated_tensors import (
     DEFLATED,
     LEAST_DEFLATED,
-    MOST_INFLATED,
     deflate_tensors,
     inflate_tensors,
 )
@@ -86,12 +85,12 @@ SOUND = raw(bytes(1000))
         ({"a": ["|u1", [0], "plain"]}, SOUND, "does not inflate to the 0 bytes"),
         ({"a": ["|u1", [1000], "plain"]}, SOUND[:-1], "does not inflate to"),
         ({"a": ["|u1", [1000], "plain"]}, np.append(SOUND, SOUND[:1]), "does not inflate to"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND[:0], "does not inflate to"),
+        ({"a": ["|u1", [1000], "plain"]}, SOUND[:0], "'a' cannot be 1000 bytes, deflated to 0"),
         ({"a": ["|u1", [1000], "plain"]}, SOUND[::-1].copy(), "cannot be inflated|does not inflate"),
         ({"a": ["|u1", [1000], "plain"]}, SOUND[None], "is uint8 of shape .*, expected uint8"),
         ({"a": ["|u1", [1000], "plain"]}, SOUND.astype(np.int16), "is int16 of shape .*, expected uint8"),
-        ({"a": ["<u4", [1 << 20] * 3, "plain"]}, SOUND, f"takes .* after 0, allowed are {MOST_INFLATED}"),
-        ({"a": ["|u1", [10**400], "plain"]}, SOUND, "takes .* bytes after 0, allowed"),
+        ({"a": ["<u4", [1 << 20] * 3, "plain"]}, SOUND, "'a' cannot be 4611686018427387904 bytes, deflated to [0-9]+"),
+        ({"a": ["|u1", [10**400], "plain"]}, SOUND, "cannot be an integer of 1329 bits bytes"),
     ],
 )  # fmt: skip
 def test_what_lies_about_itself_is_refused(entries, stream, message):
@@ -100,11 +99,11 @@ def test_what_lies_about_itself_is_refused(entries, stream, message):
         inflate_tensors({DEFLATED: text}, {"a": stream})
 
 
-def test_a_stream_of_a_gigabyte_takes_no_more_than_it_says():
-    """A megabyte inflates to a gigabyte; it is left at what the metadata say."""
+def test_a_stream_of_many_megabytes_takes_no_more_than_it_says():
+    """A few bytes inflate to 64 megabytes; it is left at what the metadata say."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     chunk = bytes(1 << 20)
-    bomb = b"".join(deflate.compress(chunk) for _ in range(1024)) + deflate.flush()
+    bomb = b"".join(deflate.compress(chunk) for _ in range(64)) + deflate.flush()
     tracemalloc.start()
     try:
         with pytest.raises(ContentError, match="does not inflate to the 1000 bytes"):

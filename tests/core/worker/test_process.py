@@ -52,7 +52,9 @@ def test_answers_come_with_what_was_logged(worker, caplog):
     values |= {"turned": np.arange(12.0).reshape(3, 4).T, "none": np.empty((0, 3)), "many": np.arange(300_000)}
     with caplog.at_level(logging.INFO, "physkin_core"):
         answer, more = worker.ask(("twice", values), "it")
-    assert answer is more["again"] and ("physkin_core.troublesome_worker", logging.INFO, "twice") in caplog.record_tuples
+    assert (
+        answer is more["again"] and ("physkin_core.troublesome_worker", logging.INFO, "twice") in caplog.record_tuples
+    )
     for name, value in values.items():
         np.testing.assert_array_equal(answer[name], value)
         assert answer[name].dtype == value.dtype and answer[name].flags.writeable
