@@ -17,19 +17,16 @@ def _ply(layout, elements, data=b""):
 
 LITTLE = "binary_little_endian"
 ROWS = f"element vertex 3\n{XYZ}"
-LONG_WORD = b"1 2 3\n" * 2 + b"1 2 " + b"0" * (1 << 20) + b"\n"
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (_ply("ascii", ROWS, LONG_WORD), "3 lines of 3 numbers of at most 100 characters"),
-        (_ply("ascii", f"element vertex 1{'0' * 30}\n{XYZ}", b"1 2 3\n"), "must have a count, got '1000"),
-        (_ply("ascii", f"element vertex 9000000\n{XYZ}", b"1 2 3\n"), "it is cut off, at least 8999994 bytes"),
-        (_ply(LITTLE, ROWS + "property float x\n", bytes(48)), "its 'vertex' have property 'x' twice"),
-        (_ply(LITTLE, ROWS + "element empty 99999999999\n", bytes(36)), "element 'empty' has no properties"),
-        (_ply(LITTLE, ROWS + "element face -3\nproperty list uchar int i\n", bytes(36)), "'face' must have a count"),
-        (_ply(LITTLE, ROWS, bytes(35)), r"cut off, at least 1 bytes of its rows \(3 'vertex'\)"),
+        (_ply("ascii", f"element vertex 1{'0' * 30}\n{XYZ}", b"1 2 3\n"), "with a count, got 'vertex 1000"),
+        (_ply("ascii", f"element vertex -3\n{XYZ}", b"1 2 3\n"), "with a count, got 'vertex -3'"),
+        (_ply("ascii", f"element vertex 9000000\n{XYZ}", b"1 2 3\n"), "must be 9000000 lines of 3 numbers"),
+        (_ply(LITTLE, ROWS + "property float x\n", bytes(48)), "vertices have property 'x' twice"),
+        (_ply(LITTLE, ROWS, bytes(35)), "cut off: 1 bytes of its 3 vertices are missing"),
         (b"ply\n" + b"comment \n" * 10_000 + b"end_header\n", "no header from 'ply' to 'end_header' in 65536 bytes"),
     ],
 )
