@@ -104,8 +104,7 @@ class GltfFile:
         image = self.document.item("images", index)
         if "bufferView" not in image:
             return self._content(f"image {index}", image.text("uri"))
-        length, data, first = self._view_bytes(image.integer("bufferView"))
-        return data[first : first + length]
+        return bytes(self._view_bytes(image.integer("bufferView")))
 
     def scene_nodes(self) -> list[int]:
         """Nodes of the default scene, parents first; all of them when the file names no scene."""
@@ -139,31 +138,25 @@ class GltfFile:
             raise ContentError(
                 f"bufferViews[{index}] has a stride of {stride} bytes, {user.where} needs {item} or more"
             )
-        length = offset + stride * (count - 1) + item
-        if count < 1 or length > view.integer("byteLength"):
+        data, length = self._view_bytes(index), offset + stride * (count - 1) + item
+        if count < 1 or length > len(data):
             raise ContentError(
-                f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has "
-                f"{view.integer('byteLength')}; the file is truncated or malformed"
+                f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has {len(data)}; the "
+                "file is truncated or malformed"
             )
-        _, data, first = self._view_bytes(index)
-        if first + length > len(data):
-            raise ContentError(
-                f"{user.where} of {count} elements needs bytes {first + offset} to {first + length} of a buffer of "
-                f"{len(data)}; the file is truncated or malformed"
-            )
-        return np.ndarray((count, width), dtype, buffer=data, offset=first + offset, strides=(stride, dtype.itemsize))
+        return np.ndarray((count, width), dtype, buffer=data, offset=offset, strides=(stride, dtype.itemsize))
 
-    def _view_bytes(self, index: int) -> tuple[int, bytes, int]:
-        """Length of a buffer view, the bytes that hold it and where in them it starts; decompressed where it is
-        compressed."""
+    def _view_bytes(self, index: int) -> memoryview:
+        """The bytes of a buffer view, as many as its buffer has; decompressed where it is compressed."""
         view = self.document.item("bufferViews", index)
         length, compressed = view.integer("byteLength"), meshopt_extension(view)
         if compressed is None:
-            return length, self._buffer_bytes(view.integer("buffer")), view.integer("byteOffset", 0)
+            first = view.integer("byteOffset", 0)
+            return memoryview(self._buffer_bytes(view.integer("buffer")))[first : first + length]
         if index not in self._decoded_views:
             data = self._buffer_bytes(compressed.integer("buffer"))
             self._decoded_views[index] = meshopt_view(compressed, length, data)
-        return length, self._decoded_views[index], 0
+        return memoryview(self._decoded_views[index])
 
     def _buffer_bytes(self, index: int) -> bytes:
         self.document.item("buffers", index)
@@ -173,8 +166,7 @@ class GltfFile:
         """DracoPy's mesh of a primitive that the extension belongs to."""
         index = draco.integer("bufferView")
         if index not in self._draco_meshes:
-            length, data, first = self._view_bytes(index)
-            self._draco_meshes[index] = draco_mesh(data[first : first + length])
+            self._draco_meshes[index] = draco_mesh(bytes(self._view_bytes(index)))
         return self._draco_meshes[index]
 
     def _buffer(self, index: int, buffer: GltfEntry, binary: bytes) -> bytes:

@@ -106,7 +106,7 @@ def test_chunks_of_a_glb(tmp_path):
     for chunk, message in (
         (struct.pack("<I4s", 4, b"BIN\0") + bytes(4), r"its first chunk is b'BIN\\x00', it must be b'JSON'"),
         (struct.pack("<I4s", 2**31, b"JSON"), "truncated: its chunk b'JSON' ends at byte 2147483668 of 20"),
-        (b"", "its first chunk is None"),
+        (b"", "its first chunk is b''"),
     ):
         (tmp_path / "a.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunk)) + chunk)
         with pytest.raises(AvatarError, match=message):

@@ -53,15 +53,9 @@ def frames():
     return [(pose, k / 30, root) for k, (pose, root) in enumerate(zip(positions, roots))]
 
 
-OUTFITS = {
-    "one size, a fabric": (GarmentRequest("skirt:denim", fit=0.0),),
-    "tucked": (GarmentRequest("tanktop", tucked=True), GarmentRequest("shorts", fit=0.5)),
-}
-
-
-@pytest.mark.parametrize("worn", OUTFITS.values(), ids=OUTFITS)
-def test_frames_are_the_same_bits_as_of_this_process(asset_loader, avatar, frames, worn):
+def test_frames_are_the_same_bits_as_of_this_process(asset_loader, avatar, frames):
     """With sway, garment nodes, what is hidden, and what is said of it; the networks stay where they were folded in."""
+    worn = GarmentRequest("tanktop", tucked=True), GarmentRequest("skirt:denim", fit=0.5)
     here = Outfit([WornGarment(load_garment_model(g.model), tucked=g.tucked, fit=g.fit) for g in worn], avatar)
     there, _ = asset_loader.outfit(request(*worn))
     for pose, time_of, root in frames:
