@@ -141,8 +141,8 @@ class GltfFile:
         data, length = self._view_bytes(index), offset + stride * (count - 1) + item
         if count < 1 or length > len(data):
             raise ContentError(
-                f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has {len(data)}; the "
-                "file is truncated or malformed"
+                f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has "
+                f"{len(data)}; the file is truncated or malformed"
             )
         return np.ndarray((count, width), dtype, buffer=data, offset=offset, strides=(stride, dtype.itemsize))
 

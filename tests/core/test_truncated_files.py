@@ -1,4 +1,4 @@
-"""Files that end early: every reader takes what is left of one, or refuses it in a sentence that names it.
+"""Files that end early or are damaged: every reader takes what is left, or refuses it in a sentence that names it.
 
 Files are as small as their kinds allow, and cut at every length; larger ones at every so many bytes.
 """
@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from core.motion.test_mocap import write_amc, write_bvh
 from core.points.splat_files import splat_ply
+from fuzzing import damaged
 from gltf_person import PERSON, RIG, person_document, rig_json, write_gltf
 from random_models import random_model
 
@@ -162,23 +163,41 @@ FILES = {
 READ_BY = {".mtl": ".obj", ".bin": ".gltf", ".asf": ".amc"}
 
 
-@pytest.mark.parametrize(("write", "read", "error", "step"), FILES.values(), ids=FILES)
-def test_files_that_end_early(tmp_path, write, read, error, step):
-    cut = write(tmp_path)
-    path = cut.with_suffix(READ_BY.get(cut.suffix, cut.suffix))
-    whole, refused = cut.read_bytes(), 0
+every_kind = pytest.mark.parametrize(("write", "read", "error", "step"), FILES.values(), ids=FILES)
+
+
+def refusals(read, file, error, contents) -> int:
+    """How many of the contents (name -> bytes) of a file are refused, each in one sentence that names what is read."""
+    path, refused = file.with_suffix(READ_BY.get(file.suffix, file.suffix)), 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         read(path)
-        lengths = range(0, len(whole), step)
-        for length in lengths:
-            cut.write_bytes(whole[:length])
+        for name, changed in contents:
+            file.write_bytes(changed)
             try:
                 read(path)
             except error as wrong:
-                said = str(wrong)
-                assert path.stem in said and len(said) <= LONGEST_SENTENCE and said.isprintable(), (length, said)
-                refused += 1
+                text, refused = str(wrong), refused + 1
+                assert path.stem in text and len(text) <= LONGEST_SENTENCE and text.isprintable(), (name, text)
             except Exception as wrong:
-                raise AssertionError(f"cut to {length} of {len(whole)} bytes") from wrong
-    assert refused > 0 or cut.suffix == ".mtl"
+                raise AssertionError(f"{name}: {type(wrong).__name__}: {wrong}") from wrong
+    return refused
+
+
+@every_kind
+def test_files_that_end_early(tmp_path, write, read, error, step):
+    """Libraries of materials may: what is missing there is left out."""
+    file = write(tmp_path)
+    whole = file.read_bytes()
+    lengths = range(0, len(whole), step)
+    assert refusals(read, file, error, ((f"cut at {k}", whole[:k]) for k in lengths)) > 0 or file.suffix == ".mtl"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@every_kind
+def test_a_thousand_damages(tmp_path, write, read, error, step):
+    """At random; of avatars, which take long where they are read, a hundred."""
+    file = write(tmp_path)
+    whole, count = file.read_bytes(), 100 if error is AvatarError else 1000
+    assert refusals(read, file, error, ((f"seed {k}", damaged(whole, k)) for k in range(count))) > count // 20

@@ -73,14 +73,6 @@ def test_frames_without_end(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["run.mcap", "run.db3"])
-def test_a_thousand_damages(name, tmp_path):
-    """Each file is read, or refused in one sentence."""
-    whole = write_bag(tmp_path / name)
-    assert check_refusals(load_motion, whole, BagError, range(1000)) > 300
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("file", ["metadata.yaml", "run.db3.zstd"])
 def test_a_thousand_damages_of_folders(file, tmp_path):
     """Their description, and what they have compressed."""
