@@ -58,7 +58,7 @@ class Worker:
         paths = dict.fromkeys(os.path.abspath(path) for path in sys.path)
         with requests, answers:  # which the process has, too
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", self._module, *map(str, (*passed, self.seconds, self.memory))],
+                [sys.executable, "-P", "-m", self._module, *map(str, (*passed, self.memory, self.seconds))],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=passed,

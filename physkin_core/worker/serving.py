@@ -7,7 +7,6 @@ opening one: it contains accidents and bombs, not an attacker who runs code.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import errno
 import logging
@@ -15,6 +14,7 @@ import os
 import resource
 import select
 import signal
+import sys
 import warnings
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -37,16 +37,11 @@ OVERTIME = 5
 
 def serve(answer: Callable[[Any], object]) -> None:
     """Answer requests until the other end goes. Arguments of the command line: `Worker` gives them."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("requests", type=int, help="pipe of requests")
-    parser.add_argument("answers", type=int, help="pipe of answers")
-    parser.add_argument("arrays", type=int, help="memory for the arrays of answers")
-    parser.add_argument("seconds", type=float)
-    parser.add_argument("memory", type=int, help="[MiB]")
-    given = parser.parse_args()
-    requests, answers = Connection(given.requests, writable=False), Connection(given.answers, readable=False)
-    Thread(target=_end_with, args=(given.answers,), daemon=True).start()
-    _limit(given.memory)
+    *given, seconds = sys.argv[1:]
+    requests_end, answers_end, arrays, memory = map(int, given)
+    requests, answers = Connection(requests_end, writable=False), Connection(answers_end, readable=False)
+    Thread(target=_end_with, args=(answers_end,), daemon=True).start()
+    _limit(memory)
     warnings.simplefilter("ignore")  # what is worth saying is in what is loaded
     logger = logging.getLogger("physkin_core")
     logger.setLevel(logging.INFO)
@@ -56,8 +51,8 @@ def serve(answer: Callable[[Any], object]) -> None:
         answers.send(("ready", None))
         while True:
             request = requests.recv()
-            signal.setitimer(signal.ITIMER_REAL, given.seconds + OVERTIME)
-            answers.send(_answered(answer, request, given.arrays))
+            signal.setitimer(signal.ITIMER_REAL, float(seconds) + OVERTIME)
+            answers.send(_answered(answer, request, arrays))
             signal.setitimer(signal.ITIMER_REAL, 0)
 
 
