@@ -14,7 +14,6 @@ from pathlib import Path
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.kept import Kept
 from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import (
@@ -155,13 +154,7 @@ def _unchanged(files: Sequence[Path]) -> Iterator[str]:
 
 
 def _digest_of(files: Sequence[Path]) -> str:
-    known = [(file.suffix.lower(), _file_digest(file)) for file in files if _readable(file)]
-    return _digest(repr(known).encode())
-
-
-def _readable(file: Path) -> bool:
-    """Larger files and what is no file are refused by whoever reads them."""
-    return file.is_file() and file.stat().st_size <= LARGEST_FILE
+    return _digest(repr([(file.suffix.lower(), _file_digest(file)) for file in files if file.is_file()]).encode())
 
 
 def _file_digest(file: Path) -> str:
