@@ -104,12 +104,11 @@ def test_limbs_colours_and_motion(asset_loader, avatar, frames, model_path):
     np.testing.assert_array_equal(alone.colours, loaded_colours)
 
 
-def test_splats_and_why_they_cannot_be_used(asset_loader, avatar, tmp_path):
-    shirt = load_garment_model("tshirt")
+def test_splats_and_why_they_cannot_be_used(asset_loader, tmp_path, garment_model, model_path):
     near, far = tmp_path / "near.ply", tmp_path / "far.ply"
-    near.write_bytes(splat_ply("binary_little_endian", shirt.garment.vertices[:300]))
-    far.write_bytes(splat_ply("ascii", shirt.garment.vertices[:300] + [0, 0, 1]))
-    outfit, loaded = asset_loader.outfit(request("trousers", "tshirt", points=str(near)))
+    near.write_bytes(splat_ply("binary_little_endian", garment_model.garment.vertices[:300]))
+    far.write_bytes(splat_ply("ascii", garment_model.garment.vertices[:300] + [0, 0, 1]))
+    outfit, loaded = asset_loader.outfit(request("shorts", str(model_path), points=str(near)))
     assert loaded.splats.garment == 1 and not loaded.splats_refused
     outfit.drape(outfit.rig.rest)
     told = outfit.node_transforms()[1], outfit.features()[1]
@@ -119,7 +118,7 @@ def test_splats_and_why_they_cannot_be_used(asset_loader, avatar, tmp_path):
     np.testing.assert_array_equal(found.centres, expected.centres)
     np.testing.assert_array_equal(found.rotations, expected.rotations)
     assert loaded.splats.look.tolist() == file.look.tolist() and loaded.splats.look.dtype.names == file.look.dtype.names
-    _, loaded = asset_loader.outfit(request("tshirt", points=str(far)))
+    _, loaded = asset_loader.outfit(request(str(model_path), points=str(far)))
     assert loaded.splats is None and "far.ply: point" in loaded.splats_refused
 
 
