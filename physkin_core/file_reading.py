@@ -18,7 +18,6 @@ from pathlib import Path
 __all__ = [
     "LARGEST_FILE",
     "LONGEST_SENTENCE",
-    "Budget",
     "ContentError",
     "file_beside",
     "listed",
@@ -30,7 +29,6 @@ __all__ = [
 ]
 
 LARGEST_FILE = 1 << 29  # [bytes]
-MOST_JSON_ITEMS = 4_000_000
 LONGEST_SENTENCE = 300  # [characters] of an error
 LONGEST_VALUE = 60  # [characters] of a value in an error
 LISTED = 4
@@ -40,26 +38,6 @@ LONGEST_INTEGER = 1 << 10  # [bits]; Python refuses to write much longer ones
 
 class ContentError(ValueError):
     """What is wrong with the content of a file, what is allowed and what to do; `reading` says which file."""
-
-
-class Budget:
-    """Bytes that the content of one file may take in memory, charged before they are allocated."""
-
-    def __init__(self, most: int) -> None:
-        self.most, self.charged = most, 0
-
-    def charge(self, size: int, what: str) -> None:
-        """Raises ContentError where `size` bytes more, for `what`, are too many."""
-        if size < 0 or self.charged + size > self.most:
-            raise ContentError(
-                f"{what} takes {shown(size)} bytes after {self.charged}, allowed are {self.most} for all of the file"
-            )
-        self.charged += size
-
-    @property
-    def left(self) -> int:
-        """Bytes that may still be charged."""
-        return self.most - self.charged
 
 
 def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
@@ -80,10 +58,7 @@ def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
 
 
 def read_json(content: bytes) -> object:
-    """The value of a JSON text. Raises ContentError where it is none, or has more items than memory is meant for."""
-    items = sum(map(content.count, (b",", b"[", b"{")))  # in texts, too: an upper bound, before anything is made of it
-    if items > MOST_JSON_ITEMS:
-        raise ContentError(f"it has up to {items} JSON items, allowed are {MOST_JSON_ITEMS}")
+    """The value of a JSON text. Raises ContentError where it is none."""
     try:
         return json.loads(content)
     except ValueError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from physkin_core.motion.bag_reader import TYPES
-from physkin_ros.replay.bags import Header, JointState, Time, Vector3, Vector3Stamped
+from physkin_core.motion.bag_reader import JOINT_STATE, TYPES
+from physkin_ros.replay.bags import BagWriter, Header, JointState, Time, Vector3, Vector3Stamped
 
 
 def recorded(path):
@@ -24,3 +24,14 @@ def joint_state(names, positions):
 
 def gravity(x, y, z):
     return Vector3Stamped(Header(Time(0, 0), ""), Vector3(float(x), float(y), float(z)))
+
+
+def write_bag(path, *, storage=None, count=5, pause=0):
+    """A bag of joint states of a hip 20 ms apart, the last after a pause of so many steps."""
+    with BagWriter(path, storage=storage) as writer:
+        for k in range(count):
+            time_ns = 10**9 + (k + (k == count - 1) * pause) * 20_000_000
+            message = joint_state(["hip"], [0.1 * k])
+            message.header.stamp = Time(*divmod(time_ns, 10**9))
+            writer.write("/joint_states", JOINT_STATE, message, time_ns)
+    return path

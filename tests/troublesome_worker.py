@@ -7,30 +7,17 @@ import mmap
 import os
 import signal
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.worker.codec import Codec
 from physkin_core.worker.serving import serve
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two of anything."""
-
-    first: object
-    second: object
-
-
-CODEC = Codec([Pair])
 
 
 def twice(value):
     """The same value twice."""
     logging.getLogger("physkin_core.troublesome_worker").info("twice")
-    return Pair(value, value)
+    return value, {"again": value}
 
 
 def process(_):
@@ -61,6 +48,11 @@ def sleep(seconds):
     time.sleep(seconds)
 
 
+def zeros(mib):
+    """An answer of that size."""
+    return np.zeros(mib << 20, dtype=np.uint8)
+
+
 def fill(mib):
     """Take memory."""
     return len(np.ones(mib << 20, dtype=np.uint8))
@@ -78,7 +70,7 @@ def fail(_):
 
 def unspeakable(_):
     """An answer that cannot be said."""
-    return object()
+    return lambda: None
 
 
 def truncated(path):
@@ -94,4 +86,4 @@ def write(path):
 
 
 if __name__ == "__main__":
-    serve(lambda request: globals()[request[0]](request[1]), Codec([Pair]))
+    serve(lambda request: globals()[request[0]](request[1]))

@@ -6,7 +6,6 @@
 #include "joints_binding.hpp"
 #include "kernels/machine_floors.hpp"
 #include "motion_binding.hpp"
-#include "pipe_binding.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
 #include "separation_binding.hpp"
@@ -150,7 +149,6 @@ NB_MODULE(_native, module) {
   physkin::bind_frame(module);
   physkin::bind_joints(module);
   physkin::bind_motion(module);
-  physkin::bind_pipe(module);
   physkin::bind_separation(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def(

@@ -97,8 +97,6 @@ def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
     vertices, faces, joints, weights, corners, names, clear, seen = zip(*parts)
     face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
     vertices, faces, corners, seen = map(np.concatenate, (vertices, faces, corners, seen))
-    width = max(each.shape[1] for each in joints)
-    file.budget.charge(vertices.itemsize * len(vertices) * (3 + 2 * width), f"a mesh of {len(vertices)} vertices")
     influences = joined_influences(joints), joined_influences(weights)
     vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, influences, str(file.path))
     heads = file.node_worlds[joint_nodes][:, :3, 3]

@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from physkin_core.file_reading import Budget, ContentError, shown
+from physkin_core.file_reading import ContentError, shown
 
 __all__ = ["DEFLATED", "deflate_tensors", "inflate_tensors"]
 
@@ -28,8 +28,8 @@ LEAST_DEFLATED = 512
 """[bytes] Smaller tensors would save less than their entry takes."""
 KINDS = ("plain", "rows", "numbers")
 """Floating point numbers are plain."""
-MOST_INFLATED = 1 << 28
-"""[bytes] Of all tensors of a file; the shipped ones take 5 million."""
+MOST_INFLATED = 1040
+"""Times its own size, which no deflate stream exceeds."""
 RAW, MOST_MEMORY = -zlib.MAX_WBITS, 9
 
 
@@ -53,22 +53,41 @@ def inflate_tensors(
     """Metadata and tensors of a file as they were before they were deflated.
 
     Raises ContentError for an entry that makes no sense, and for a stream that is damaged or does not hold just as many
-    bytes as its entry says. No more is allocated than entries say, `MOST_INFLATED` in all.
+    bytes as its entry says. No more is allocated than entries say, and these no more than streams can hold.
     """
-    plain, inflated, budget = dict(metadata), dict(tensors), Budget(MOST_INFLATED)
-    entries = _entries(plain.pop(DEFLATED, "{}"))
+    plain, inflated = dict(metadata), dict(tensors)
+    try:
+        entries = dict(json.loads(plain.pop(DEFLATED, "{}")))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ContentError(f"its metadata entry {DEFLATED!r} is no JSON object: {error}") from error
     for name, entry in entries.items():
-        if name not in tensors:
-            raise ContentError(f"it lacks {shown(name)}, which its metadata name among what is deflated")
-        dtype, shape, kind = _described(name, entry)
-        size = math.prod(shape) * dtype.itemsize
-        budget.charge(size, f"{shown(name)}, inflated,")
-        planes = np.frombuffer(_inflate(name, tensors[name], size), np.uint8).reshape(dtype.itemsize, -1)
-        tensor = np.ascontiguousarray(planes.T).view(dtype).reshape(shape)
-        if kind != "plain":
-            tensor = np.cumsum(tensor, axis=0 if kind == "rows" else None, dtype=dtype).reshape(shape)
-        inflated[name] = tensor
+        try:
+            inflated[name] = _inflated(tensors[name], *entry)
+        except (KeyError, TypeError, ValueError, OverflowError, zlib.error) as error:
+            raise ContentError(
+                f"{shown(name)} cannot be inflated by [type, shape, kind] {shown(entry)}: "
+                f"{type(error).__name__}: {error}"
+            ) from error
     return plain, inflated
+
+
+def _inflated(stream: np.ndarray, type_name: str, shape: list[int], kind: str) -> np.ndarray:
+    """The tensor of a stream. Raises KeyError, TypeError, ValueError, OverflowError or zlib.error for what is none."""
+    dtype = TYPES[type_name]
+    size = math.prod(shape) * dtype.itemsize
+    if stream.dtype != np.uint8 or kind not in KINDS[: 3 if dtype.kind in "iu" else 1]:
+        raise ValueError(f"allowed are uint8 and {', '.join(KINDS)}, plain for what is not whole numbers")
+    if size > MOST_INFLATED * stream.nbytes:
+        raise ValueError(f"{stream.nbytes} bytes cannot hold {shown(size)}")
+    inflate = zlib.decompressobj(RAW)
+    content = inflate.decompress(stream.tobytes(), size + 1)
+    if len(content) != size or not inflate.eof or inflate.unused_data:
+        raise ValueError(f"it does not inflate to {size} bytes")
+    planes = np.frombuffer(content, np.uint8).reshape(dtype.itemsize, -1)
+    tensor = np.ascontiguousarray(planes.T).view(dtype).reshape(shape)
+    if kind != "plain":
+        tensor = np.cumsum(tensor, axis=0 if kind == "rows" else None, dtype=dtype).reshape(shape)
+    return tensor
 
 
 def _ways(tensor: np.ndarray) -> Iterator[tuple[str, bytes]]:
@@ -81,41 +100,3 @@ def _ways(tensor: np.ndarray) -> Iterator[tuple[str, bytes]]:
         for strategy in (zlib.Z_HUFFMAN_ONLY, zlib.Z_DEFAULT_STRATEGY):
             deflate = zlib.compressobj(9, zlib.DEFLATED, RAW, MOST_MEMORY, strategy)
             yield kind, deflate.compress(planes) + deflate.flush()
-
-
-def _entries(text: str) -> dict[str, object]:
-    try:
-        entries = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ContentError(f"its metadata entry {DEFLATED!r} is not JSON: {error}") from error
-    if not isinstance(entries, dict):
-        raise ContentError(f"its metadata entry {DEFLATED!r} is {shown(entries)}, expected an object of tensors")
-    return entries
-
-
-def _described(name: str, entry: object) -> tuple[np.dtype, tuple[int, ...], str]:
-    """Type, shape and kind of an entry."""
-    match entry:
-        case [str(dtype), [_, *_] as shape, str(kind)] if dtype in TYPES and kind in KINDS:
-            whole = all(type(size) is int and size >= 0 for size in shape)
-            if whole and (kind == "plain" or TYPES[dtype].kind in "iu"):
-                return TYPES[dtype], tuple(shape), kind
-    raise ContentError(
-        f"its metadata say {shown(entry)} of {shown(name)}, allowed: [type, shape, kind], types {', '.join(TYPES)}, "
-        f"kinds {', '.join(KINDS)}, all but the first of whole numbers"
-    )
-
-
-def _inflate(name: str, stream: np.ndarray, size: int) -> bytes:
-    if stream.dtype != np.uint8 or stream.ndim != 1:
-        raise ContentError(
-            f"{shown(name)} is {stream.dtype} of shape {stream.shape}, expected uint8 (bytes,), deflated"
-        )
-    inflate = zlib.decompressobj(RAW)
-    try:
-        content = inflate.decompress(stream.tobytes(), size + 1)
-    except zlib.error as error:
-        raise ContentError(f"{shown(name)} cannot be inflated: {error}") from error
-    if len(content) != size or not inflate.eof or inflate.unused_data:
-        raise ContentError(f"{shown(name)} does not inflate to the {size} bytes that its metadata say")
-    return content

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TypeVar
 
 from physkin_core.file_reading import ContentError, read_json, shown
@@ -122,22 +122,19 @@ def parse_gltf(content: bytes) -> tuple[GltfEntry, bytes]:
         raise ContentError(f"it is glTF version {version}, allowed is 2; export it as glTF 2.0")
     if length > len(content):
         raise ContentError(f"it is truncated: {len(content)} of {length} bytes; export it again")
-    chunks = list(_chunks(content[:length]))
-    if not chunks or chunks[0][0] != JSON_CHUNK:
-        raise ContentError(f"its first chunk is {shown(chunks[0][0] if chunks else None)}, it must be {JSON_CHUNK!r}")
-    binary = next((chunk for kind, chunk in chunks[1:2] if kind == BINARY_CHUNK), b"")
-    return GltfEntry(read_json(chunks[0][1]), ""), binary
+    kind, text, end = _chunk(content[:length], GLB_HEADER)
+    if kind != JSON_CHUNK:
+        raise ContentError(f"its first chunk is {shown(kind)}, it must be {JSON_CHUNK!r}")
+    kind, binary, _ = _chunk(content[:length], end)  # later ones are extensions'
+    return GltfEntry(read_json(text), ""), binary if kind == BINARY_CHUNK else b""
 
 
-def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Kind and content of the first two chunks of a GLB; later ones are extensions'."""
-    start = GLB_HEADER
-    for _ in range(2):
-        if start + CHUNK_HEADER > len(content):
-            return
-        length, kind = struct.unpack_from("<I4s", content, start)
-        start += CHUNK_HEADER
-        if start + length > len(content):
-            raise ContentError(f"it is truncated: its chunk {kind!r} ends at byte {start + length} of {len(content)}")
-        yield kind, content[start : start + length]
-        start += length
+def _chunk(content: bytes, start: int) -> tuple[bytes, bytes, int]:
+    """Kind and content of a chunk of a GLB, both empty where there is none, and where it ends."""
+    if start + CHUNK_HEADER > len(content):
+        return b"", b"", start
+    length, kind = struct.unpack_from("<I4s", content, start)
+    end = start + CHUNK_HEADER + length
+    if end > len(content):
+        raise ContentError(f"it is truncated: its chunk {kind!r} ends at byte {end} of {len(content)}")
+    return kind, content[start + CHUNK_HEADER : end], end

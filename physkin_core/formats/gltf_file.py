@@ -11,39 +11,29 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from physkin_core.file_reading import Budget, ContentError, file_beside, read_bytes, shown
+from physkin_core.file_reading import ContentError, file_beside, read_bytes, shown
 from physkin_core.formats.gltf_compression import DRACO, DracoMesh, draco_mesh, meshopt_extension, meshopt_view
 from physkin_core.formats.gltf_document import GltfEntry, parse_gltf
-from physkin_core.formats.mesh_limits import LARGEST_CONTENT
 
 __all__ = ["GltfFile"]
 
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 INDEX_TYPES = {5121: np.dtype("<u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 COMPONENT_TYPES = {5120: np.dtype("<i1"), 5122: np.dtype("<i2"), **INDEX_TYPES, 5126: np.dtype("<f4")}
-READ_SIZE = 8  # [bytes] of a number as it is read
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
-MOST_ITEMS = {"nodes": 16_384, "buffers": 1_024, "bufferViews": 65_536, "accessors": 65_536}
-DEEPEST_NODE = 1_024
 
 
 class GltfFile:
-    """An open glTF file. Raises ContentError where the file is truncated, malformed, too large or compressed in an
-    unknown way.
+    """An open glTF file. Raises ContentError where the file is truncated, malformed or compressed in an unknown
+    way. What it declares is compared with what it holds before memory is taken for it.
 
-    content: its bytes. document: its JSON. nodes: (g,). node_parents: (g,) int, -1 for none. node_order: a parent
-    before its children. node_worlds: (g, 4, 4) from node to scene. budget: of all that is read from the file.
+    document: its JSON. nodes: (g,). node_parents: (g,) int, -1 for none. node_order: a parent before its children.
+    node_worlds: (g, 4, 4) from node to scene.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.budget = Budget(LARGEST_CONTENT)
-        self.content = read_bytes(path)
-        self.budget.charge(len(self.content), "the file")
-        self.document, binary = parse_gltf(self.content)
-        for key, most in MOST_ITEMS.items():
-            if self.document.count(key) > most:
-                raise ContentError(f"it has {self.document.count(key)} {key}, allowed are {most}")
+        self.document, binary = parse_gltf(read_bytes(path))
         self.nodes = self.document.entries("nodes")
         self._decoded_views: dict[int, bytes] = {}
         self._draco_meshes: dict[int, DracoMesh] = {}
@@ -55,16 +45,6 @@ class GltfFile:
         for node in self.node_order:
             local, parent = _local_transform(self.nodes[node]), self.node_parents[node]
             self.node_worlds[node] = local if parent < 0 else self.node_worlds[parent] @ local
-
-    def read_all(self) -> None:
-        """Read what is not shown, too, for others who read the whole file: it is checked, and charged."""
-        for view in self.document.entries("bufferViews"):
-            self.budget.charge(view.integer("byteLength"), view.where)
-        for index in range(self.document.count("accessors")):
-            self.accessor(index)
-        for mesh in self.document.entries("meshes"):
-            for primitive in mesh.entries("primitives"):
-                self.triangles(primitive)
 
     def accessor(self, index: int) -> np.ndarray:
         """(N, components) array of an accessor: integers as stored, floats and normalised integers as float64."""
@@ -79,9 +59,6 @@ class GltfFile:
                 raise ContentError(
                     f"accessors[{index}] has {count} elements without data, allowed are 1 to {largest}; export it again"
                 )
-            data = None
-        self.budget.charge(count * width * READ_SIZE, f"accessors[{index}]")
-        if data is None:
             data = np.zeros((count, width), dtype=dtype)
         if "sparse" in accessor:
             data = self._with_sparse(accessor.entry("sparse"), data)
@@ -94,8 +71,7 @@ class GltfFile:
             return None if index is None else self.accessor(index)
         accessor = self.document.item("accessors", index)
         shape = (accessor.integer("count"), accessor.choice("type", COMPONENTS))
-        self.budget.charge(shape[0] * shape[1] * READ_SIZE, f"accessors[{index}]")
-        found = self._draco_mesh(primitive, draco).get_attribute_by_unique_id(draco.entry("attributes").integer(name))
+        found = self._draco_mesh(draco).get_attribute_by_unique_id(draco.entry("attributes").integer(name))
         data = np.empty(0) if found is None else found["data"]
         if data.shape != shape:
             raise ContentError(
@@ -107,14 +83,16 @@ class GltfFile:
         """(f, 3) vertex indices of a primitive; empty for points and lines."""
         indices = primitive.index("indices")
         if draco := _draco(primitive):
-            return np.asarray(self._draco_mesh(primitive, draco).faces, dtype=np.int64).reshape(-1, 3)
-        corners = np.arange(self._vertex_count(primitive)) if indices is None else self.accessor(indices)[:, 0]
+            return np.asarray(self._draco_mesh(draco).faces, dtype=np.int64).reshape(-1, 3)
+        if indices is None:
+            corners = np.arange(len(self.accessor(primitive.entry("attributes").integer("POSITION"))))
+        else:
+            corners = self.accessor(indices)[:, 0]
         mode = primitive.integer("mode", TRIANGLES)
         if mode == TRIANGLES:
             return corners[: len(corners) // 3 * 3].reshape(-1, 3)
         if mode not in (TRIANGLE_FAN, TRIANGLE_STRIP) or len(corners) < 3:
             return np.empty((0, 3), dtype=np.int64)
-        self.budget.charge(3 * len(corners) * READ_SIZE, f"triangles of {primitive.where}")
         if mode == TRIANGLE_FAN:
             return np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
         strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
@@ -126,9 +104,7 @@ class GltfFile:
         image = self.document.item("images", index)
         if "bufferView" not in image:
             return self._content(f"image {index}", image.text("uri"))
-        length, data, first = self._view_bytes(image.integer("bufferView"))
-        self.budget.charge(length, f"image {index}")
-        return data[first : first + length]
+        return bytes(self._view_bytes(image.integer("bufferView")))
 
     def scene_nodes(self) -> list[int]:
         """Nodes of the default scene, parents first; all of them when the file names no scene."""
@@ -139,15 +115,6 @@ class GltfFile:
             if self.node_parents[node] in inside:
                 inside.add(node)
         return [node for node in self.node_order if node in inside]
-
-    def _vertex_count(self, primitive: GltfEntry) -> int:
-        position = primitive.entry("attributes").integer("POSITION")
-        accessor = self.document.item("accessors", position)
-        count, width = accessor.integer("count"), accessor.choice("type", COMPONENTS)
-        if "bufferView" in accessor:  # which its count is compared with before it is used
-            self._view(accessor, count, width, accessor.choice("componentType", COMPONENT_TYPES))
-        self.budget.charge(count * READ_SIZE, f"corners of {primitive.where}")
-        return count
 
     def _with_sparse(self, sparse: GltfEntry, data: np.ndarray) -> np.ndarray:
         """Data (N, components) with some of its elements replaced."""
@@ -171,49 +138,35 @@ class GltfFile:
             raise ContentError(
                 f"bufferViews[{index}] has a stride of {stride} bytes, {user.where} needs {item} or more"
             )
-        length = offset + stride * (count - 1) + item
-        if count < 1 or length > view.integer("byteLength"):
+        data, length = self._view_bytes(index), offset + stride * (count - 1) + item
+        if count < 1 or length > len(data):
             raise ContentError(
                 f"{user.where} of {count} elements needs {length} bytes of bufferViews[{index}], which has "
-                f"{view.integer('byteLength')}; the file is truncated or malformed"
-            )
-        _, data, first = self._view_bytes(index)
-        if first + length > len(data):
-            raise ContentError(
-                f"{user.where} of {count} elements needs bytes {first + offset} to {first + length} of a buffer of "
                 f"{len(data)}; the file is truncated or malformed"
             )
-        return np.ndarray((count, width), dtype, buffer=data, offset=first + offset, strides=(stride, dtype.itemsize))
+        return np.ndarray((count, width), dtype, buffer=data, offset=offset, strides=(stride, dtype.itemsize))
 
-    def _view_bytes(self, index: int) -> tuple[int, bytes, int]:
-        """Length of a buffer view, the bytes that hold it and where in them it starts; decompressed where it is
-        compressed."""
+    def _view_bytes(self, index: int) -> memoryview:
+        """The bytes of a buffer view, as many as its buffer has; decompressed where it is compressed."""
         view = self.document.item("bufferViews", index)
         length, compressed = view.integer("byteLength"), meshopt_extension(view)
         if compressed is None:
-            return length, self._buffer_bytes(view.integer("buffer")), view.integer("byteOffset", 0)
+            first = view.integer("byteOffset", 0)
+            return memoryview(self._buffer_bytes(view.integer("buffer")))[first : first + length]
         if index not in self._decoded_views:
             data = self._buffer_bytes(compressed.integer("buffer"))
-            self._decoded_views[index] = meshopt_view(compressed, length, data, self.budget)
-        return length, self._decoded_views[index], 0
+            self._decoded_views[index] = meshopt_view(compressed, length, data)
+        return memoryview(self._decoded_views[index])
 
     def _buffer_bytes(self, index: int) -> bytes:
         self.document.item("buffers", index)
         return self.buffers[index]
 
-    def _draco_mesh(self, primitive: GltfEntry, draco: GltfEntry) -> DracoMesh:
-        """DracoPy's mesh of a primitive."""
+    def _draco_mesh(self, draco: GltfEntry) -> DracoMesh:
+        """DracoPy's mesh of a primitive that the extension belongs to."""
         index = draco.integer("bufferView")
         if index not in self._draco_meshes:
-            position, indices = primitive.entry("attributes").integer("POSITION"), primitive.integer("indices")
-            vertices = self.document.item("accessors", position).integer("count")
-            faces = self.document.item("accessors", indices).integer("count") // 3
-            attributes = primitive.entry("attributes")
-            named = [self.document.item("accessors", attributes.integer(name)) for name in attributes.members]
-            width = sum(accessor.choice("type", COMPONENTS) for accessor in named)
-            self.budget.charge((vertices * width + 3 * faces) * READ_SIZE, f"{DRACO} of {primitive.where}")
-            length, data, first = self._view_bytes(index)
-            self._draco_meshes[index] = draco_mesh(data[first : first + length], vertices, faces)
+            self._draco_meshes[index] = draco_mesh(bytes(self._view_bytes(index)))
         return self._draco_meshes[index]
 
     def _buffer(self, index: int, buffer: GltfEntry, binary: bytes) -> bytes:
@@ -231,14 +184,10 @@ class GltfFile:
     def _content(self, what: str, uri: str) -> bytes:
         """What a URI holds: it, or a file beside this one."""
         if uri.startswith("data:"):
-            text = uri.partition(",")[2]
-            self.budget.charge(len(text), what)
-            return base64.b64decode(text)
+            return base64.b64decode(uri.partition(",")[2])
         if "://" in uri:
             raise ContentError(f"{what} is at {shown(uri)}; only files beside it are read")
-        content = read_bytes(file_beside(self.path, unquote(uri)), most=self.budget.left)
-        self.budget.charge(len(content), what)
-        return content
+        return read_bytes(file_beside(self.path, unquote(uri)))
 
     def _hierarchy(self) -> tuple[np.ndarray, list[int]]:
         parents = np.full(len(self.nodes), -1)
@@ -249,14 +198,10 @@ class GltfFile:
                     raise ContentError(f"nodes[{child}] has two parents, allowed is one")
                 parents[child] = index
         order = [int(node) for node in np.flatnonzero(parents < 0)]
-        depth = np.zeros(len(parents), dtype=int)
         for node in order:
             order += self.node_children[node]
-            depth[self.node_children[node]] = depth[node] + 1
         if len(order) != len(parents):
             raise ContentError("its nodes form a loop, allowed is a tree")
-        if depth.max(initial=0) > DEEPEST_NODE:
-            raise ContentError(f"its nodes are {depth.max()} levels deep, allowed are {DEEPEST_NODE}")
         return parents, order
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from physkin_core.file_reading import ContentError
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.mesh_limits import check_mesh_size
 
 __all__ = ["Drawn", "drawn_primitives", "in_scene", "material_of"]
 
@@ -34,24 +33,20 @@ class Drawn(NamedTuple):
 
 
 def drawn_primitives(file: GltfFile) -> Iterator[Drawn]:
-    """Everything with faces in the scene. Raises ContentError where it is malformed or too much."""
-    parts = vertices = corners = 0
+    """Everything with faces in the scene. Raises ContentError where it is malformed."""
+    corners = 0
     for node in file.scene_nodes():
         number = file.nodes[node].index("mesh")
         if number is None:
             continue
         mesh = file.document.item("meshes", number)
-        check_mesh_size(parts=parts + mesh.count("primitives"))
         for primitive in mesh.entries("primitives"):
-            parts += 1
             if "POSITION" not in primitive.entry("attributes"):
                 continue
             faces = file.triangles(primitive)
             if len(faces) == 0:
                 continue
             positions = _positions(file, mesh, primitive)
-            vertices += len(positions)
-            check_mesh_size(vertices=vertices, faces=corners // 3 + len(faces))
             mirrored = "skin" not in file.nodes[node] and np.linalg.det(file.node_worlds[node][:3, :3]) < 0
             faces = _checked(faces, len(positions))[:, :: -1 if mirrored else 1]
             yield Drawn(node, mesh, primitive, positions, faces, corners + np.arange(faces.size).reshape(-1, 3))

@@ -13,15 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from physkin_core.file_reading import ContentError, read_bytes, shown
-from physkin_core.formats.mesh_limits import check_mesh_size
-from physkin_core.formats.surface_file import LARGEST_TEXT, check_text_size
 
 __all__ = ["FaceNames", "ObjFile", "read_obj"]
 
 NAMING = {"usemtl": ("material",), "g": ("group", "part"), "o": ("object", "part")}
 """Keyword -> the names that it sets."""
-LONGEST_LINE = 1 << 20  # [characters]
-LARGEST_INDEX = 1 << 31
 
 
 class FaceNames(NamedTuple):
@@ -67,9 +63,9 @@ class ObjFile:
 
 
 def read_obj(path: Path) -> ObjFile:
-    """Read a file. Raises OSError where it cannot be opened, ContentError where it is too large, for lines that are not
-    as the format has them, and for faces and line elements at vertices or texture coordinates that are not there."""
-    lines = _lines(read_bytes(path, most=LARGEST_TEXT))
+    """Read a file. Raises OSError where it cannot be opened, ContentError for lines that are not as the format has
+    them, and for faces and line elements at vertices or texture coordinates that are not there."""
+    lines = _lines(read_bytes(path))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     line_elements: list[tuple[int, int]] = []
     now, names, polygons = FaceNames(), {}, 0
@@ -90,7 +86,6 @@ def read_obj(path: Path) -> ObjFile:
             line_elements += zip(ends, ends[1:])
         elif kind == "f":
             polygons += len(entries) > 3
-            check_mesh_size(vertices=len(vertices), faces=len(faces) + len(entries) - 2, parts=len(names))
             corners = []
             for entry in entries:
                 corner = known.get(entry)
@@ -104,7 +99,6 @@ def read_obj(path: Path) -> ObjFile:
                 faces.append(vertex)
                 uv.append(place)
                 face_names.append(names.setdefault(now, len(names)))
-    check_mesh_size(vertices=len(vertices), parts=len(names))
     corners, places = np.array(faces, dtype=int).reshape(-1, 3), np.array(places)
     uv, ends = np.array(uv, dtype=int).reshape(-1, 3), np.array(line_elements, dtype=int).reshape(-1, 2)
     for element, found, count, what in (
@@ -121,14 +115,8 @@ def read_obj(path: Path) -> ObjFile:
 
 def _lines(content: bytes) -> tuple[str, ...]:
     """Lines of a file, continued ones joined."""
-    check_text_size(content)
     text = content.decode("utf-8", errors="surrogateescape")  # what is no UTF-8 is written as it was
-    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
-    lines = tuple(text.splitlines())
-    longest = max(map(len, lines), default=0)
-    if longest > LONGEST_LINE:
-        raise ContentError(f"it has a line of {longest} characters, allowed are {LONGEST_LINE}")
-    return lines
+    return tuple(text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ").splitlines())
 
 
 def _words(line: str) -> list[str]:
@@ -149,8 +137,4 @@ def _corner(line: str, entry: str, vertices: int, places: int) -> tuple[int, int
         vertex, place = (int(number or 0) for number in [*entry.split("/"), ""][:2])
     except ValueError:
         raise ContentError(f"{shown(line.strip())}: {shown(entry)} is no corner") from None
-    if max(abs(vertex), abs(place)) > LARGEST_INDEX:
-        raise ContentError(
-            f"{shown(line.strip())}: {shown(entry)} refers to vertices or texture coordinates that do not exist"
-        )
     return vertex - 1 if vertex > 0 else vertices + vertex if vertex else -1, place if place >= 0 else places + place

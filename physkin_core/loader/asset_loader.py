@@ -8,7 +8,7 @@ from typing import Literal
 from weakref import WeakValueDictionary
 
 from physkin_core.loader.memory import return_memory
-from physkin_core.loader.requests import CODEC, AvatarRequest, LoadedAvatar, LoadedOutfit, MotionRequest, OutfitRequest
+from physkin_core.loader.requests import AvatarRequest, LoadedAvatar, LoadedOutfit, MotionRequest, OutfitRequest
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.runtime.evaluator import Precision
@@ -30,7 +30,7 @@ class AssetLoader:
     """
 
     def __init__(self, *, seconds: float = LOAD_TIMEOUT, memory: int = LOAD_MEMORY_LIMIT) -> None:
-        self._worker = Worker("physkin_core.loader.loading_process", CODEC, seconds=seconds, memory=memory)
+        self._worker = Worker("physkin_core.loader.loading_process", seconds=seconds, memory=memory)
         self._worn: WeakValueDictionary[tuple[str, Precision | None, str], Outfit] = WeakValueDictionary()
 
     @property

@@ -14,11 +14,9 @@ from pathlib import Path
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.kept import Kept
 from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import (
-    CODEC,
     AvatarRequest,
     LoadedAvatar,
     LoadedOutfit,
@@ -35,6 +33,7 @@ from physkin_core.points.splats_on_outfit import SplatsOnOutfit, splats_on_outfi
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import WornGarment
 from physkin_core.separation.limb_separator import BoundLimbs, fit_limbs
+from physkin_core.worker.shared_arrays import array_bytes
 
 __all__ = ["KEPT_BYTES", "Loading"]
 
@@ -102,7 +101,7 @@ class Loading:
         model = self._kept.get(key)
         if model is None:
             model = load_garment_model(name, content=content)
-            self._kept.keep(key, model, sum(array.nbytes for array in model.arrays().values()))
+            self._keep(key, model)
         return model, key
 
     def _avatar(self, body: Path, rig_file: str, digest: str, model: GarmentModel) -> Avatar:
@@ -123,7 +122,7 @@ class Loading:
         return limbs
 
     def _keep(self, key: Hashable, value: object) -> None:
-        self._kept.keep(key, value, sum(array.nbytes for array in CODEC.encode(value)[1]))
+        self._kept.keep(key, value, array_bytes(value))
 
 
 def _splats(points: str, bound: BoundOutfit) -> tuple[SplatsOnOutfit | None, str]:
@@ -155,13 +154,7 @@ def _unchanged(files: Sequence[Path]) -> Iterator[str]:
 
 
 def _digest_of(files: Sequence[Path]) -> str:
-    known = [(file.suffix.lower(), _file_digest(file)) for file in files if _readable(file)]
-    return _digest(repr(known).encode())
-
-
-def _readable(file: Path) -> bool:
-    """Larger files and what is no file are refused by whoever reads them."""
-    return file.is_file() and file.stat().st_size <= LARGEST_FILE
+    return _digest(repr([(file.suffix.lower(), _file_digest(file)) for file in files if file.is_file()]).encode())
 
 
 def _file_digest(file: Path) -> str:

@@ -6,7 +6,6 @@ from importlib import import_module
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.loader.loading import Loading
-from physkin_core.loader.requests import CODEC
 from physkin_core.worker.serving import serve
 
 LOADERS = ("scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial", "point_cloud_utils")
@@ -16,4 +15,4 @@ if __name__ == "__main__":
     for loader in LOADERS:
         import_module(loader)
     load_body_model()
-    serve(Loading(), CODEC)
+    serve(Loading())

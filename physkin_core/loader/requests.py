@@ -1,4 +1,4 @@
-"""What can be asked of the process that loads, and its answers. All of it can be sent: `CODEC` knows how.
+"""What can be asked of the process that loads, and its answers.
 
 Dimensions: `F` faces of a body, `V` its vertices.
 """
@@ -10,25 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.model.detail import Detail
-from physkin_core.model.garment import Garment
-from physkin_core.model.garment_model import SkinnedGarment
-from physkin_core.model.skinning import SkinningData
-from physkin_core.motion.motion import Motion
 from physkin_core.outfit.bound_outfit import BoundOutfit
 from physkin_core.outfit.coverage import OwnClothes
-from physkin_core.outfit.layer_order import LayerOrder
-from physkin_core.points.splat_draper import BoundSplats
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit
-from physkin_core.rig.rig import DegreeOfFreedom, Rig
-from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.layer import Layer
-from physkin_core.runtime.rest_look import RestLook
-from physkin_core.separation.collision_shape import CollisionShape
 from physkin_core.separation.limb_separator import BoundLimbs
-from physkin_core.worker.codec import Codec
 
-__all__ = ["CODEC", "AvatarRequest", "GarmentRequest", "LoadedAvatar", "LoadedOutfit", "MotionRequest", "OutfitRequest"]
+__all__ = ["AvatarRequest", "GarmentRequest", "LoadedAvatar", "LoadedOutfit", "MotionRequest", "OutfitRequest"]
 
 
 @dataclass(frozen=True)
@@ -96,12 +83,3 @@ class MotionRequest:
     """A motion, as `load_motion` takes it."""
 
     motion: str
-
-
-CODEC = Codec(
-    [
-        *(GarmentRequest, OutfitRequest, LoadedOutfit, AvatarRequest, LoadedAvatar, MotionRequest),
-        *(BoundOutfit, Layer, LayerOrder, RestLook, BoundGarment, SkinnedGarment, Garment, Detail),
-        *(Rig, DegreeOfFreedom, Avatar, BoundLimbs, CollisionShape, SplatsOnOutfit, BoundSplats, SkinningData, Motion),
-    ]
-)

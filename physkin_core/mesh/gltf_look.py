@@ -14,7 +14,7 @@ from physkin_core.file_reading import ContentError
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, material_of
-from physkin_core.mesh.look import Look, MaterialLibrary, check_picture_size, few_colours, picture_kind
+from physkin_core.mesh.look import Look, MaterialLibrary, few_colours, picture_kind
 
 __all__ = ["base_picture", "gltf_look", "picture_content", "texture_places"]
 
@@ -123,13 +123,10 @@ def _readable(content: bytes) -> bytes:
     if picture_kind(content) is not None:
         return content
     try:
-        check_picture_size(content)
         from PIL import Image
 
         buffer = io.BytesIO()
         Image.open(io.BytesIO(content)).save(buffer, format="PNG")
-    except ContentError:
-        raise
     except Exception as error:  # whatever pillow trips over, or there is none
         raise ContentError("it is neither PNG nor JPEG, nor WebP that pillow reads") from error
     return buffer.getvalue()

@@ -5,25 +5,21 @@ Dimensions: `n` vertices, `f` triangles, `k` colours.
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from physkin_core.file_reading import ContentError
 from physkin_core.quality import closest_points
 
-__all__ = ["LIBRARY", "Look", "MaterialLibrary", "check_picture_size", "few_colours", "picture_kind"]
+__all__ = ["LIBRARY", "Look", "MaterialLibrary", "few_colours", "picture_kind"]
 
 LIBRARY = "garment.mtl"
 PICTURE_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 """Beginnings of the pictures that glTF and USD both take."""
 ROUNDS = 20
 """Of k-means, to find few colours that stand for many."""
-MOST_PIXELS = 1 << 26
-"""Of a picture that is decoded here."""
 
 
 @dataclass(frozen=True)
@@ -105,16 +101,6 @@ class MaterialLibrary:
 def picture_kind(content: bytes) -> str | None:
     """Media type of a picture file; None for neither PNG nor JPEG."""
     return next((kind for start, kind in PICTURE_KINDS.items() if content.startswith(start)), None)
-
-
-def check_picture_size(content: bytes) -> None:
-    """Raises ContentError where a picture has more pixels than memory is meant for, ModuleNotFoundError without pillow,
-    and whatever pillow does."""
-    from PIL import Image
-
-    width, height = Image.open(io.BytesIO(content)).size
-    if width * height > MOST_PIXELS:
-        raise ContentError(f"a picture has {width} x {height} pixels, allowed are {MOST_PIXELS}; make it smaller")
 
 
 def few_colours(colours: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.file_reading import Budget, ContentError, file_beside, read_bytes, reading, sentence, shown
+from physkin_core.file_reading import ContentError, file_beside, read_bytes, reading, sentence
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import drawn_primitives, in_scene
-from physkin_core.formats.mesh_limits import LARGEST_CONTENT
 from physkin_core.formats.obj_file import read_obj
 from physkin_core.formats.surface_file import read_surface
 from physkin_core.mesh.gltf_look import gltf_look
@@ -31,8 +30,6 @@ log = logging.getLogger(__name__)
 
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 SCENE_SUFFIXES = (".glb", ".gltf")
-LARGEST_LIBRARY, MOST_LIBRARY_LINES = 1 << 20, 50_000
-MOST_PICTURES = 256
 LONGEST_NAME = 1_024  # [characters]
 
 
@@ -121,26 +118,21 @@ def _numbered(names: Sequence[str], which: np.ndarray) -> tuple[tuple[str, ...],
 def _library(path: Path, names: Sequence[str]) -> dict[str, bytes]:
     """Material libraries that an OBJ names as one, and the pictures they name, all by their names alone.
 
-    What is missing is left out. Raises ContentError where one is in another folder, or they are too large.
+    What is missing is left out. Raises ContentError where one is in another folder.
     """
-    budget, lines, pictures = Budget(LARGEST_CONTENT), [], {}
+    lines, pictures = [], {}
     for name in dict.fromkeys(names):
         if not os.path.isfile(path.parent / name):
             continue
         library = file_beside(path, name)
-        for line in read_bytes(library, most=LARGEST_LIBRARY).decode("utf-8", errors="replace").splitlines():
+        for line in read_bytes(library).decode("utf-8", errors="replace").splitlines():
             before, named = _named_picture(library.parent, line)
             if named:
                 picture = file_beside(path, str(library.parent / named))
                 if picture not in pictures:
-                    pictures[picture] = read_bytes(picture, most=budget.left)
-                    budget.charge(len(pictures[picture]), f"picture {shown(picture.name)}")
-                if len(pictures) > MOST_PICTURES:
-                    raise ContentError(f"{shown(name)} names more than {MOST_PICTURES} pictures; leave some out")
+                    pictures[picture] = read_bytes(picture)
                 line = before + picture.name
             lines.append(line)
-        if len(lines) > MOST_LIBRARY_LINES:
-            raise ContentError(f"its material libraries have more than {MOST_LIBRARY_LINES} lines; leave some out")
     files = {picture.name: content for picture, content in pictures.items()}
     return {LIBRARY: ("\n".join(lines) + "\n").encode(), **files} if lines else {}
 

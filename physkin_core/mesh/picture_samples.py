@@ -10,8 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from physkin_core.mesh.look import check_picture_size
-
 __all__ = ["sampled_picture"]
 
 SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / [[3], [6], [6], [6]]
@@ -26,7 +24,6 @@ def sampled_picture(content: bytes, uv: np.ndarray, channels: Literal["RGB", "A"
     """
     from PIL import Image
 
-    check_picture_size(content)
     image = Image.open(io.BytesIO(content))
     image = image.convert("RGB") if channels == "RGB" else image.convert("RGBA").getchannel("A")
     image.thumbnail((LARGEST_PICTURE, LARGEST_PICTURE), Image.Resampling.BOX)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,7 @@ ROUGHNESS = 0.9
 
 SHADING = {"Pr": "roughness", "Ps": "sheen"}
 """Keywords of a material library's extension for physically based rendering; so is `norm`."""
+PICTURES = {"map_Kd": ("picture", "repeats"), "norm": ("normals", "normal_repeats")}
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,10 @@ def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: 
 
 def readable(look: Look, warn: Callable[[str], None]) -> Look:
     """The look without those lines of its material library that `surfaces_of` would refuse. warn: gets reasons."""
-    kept, begun, named, own = [], b"", set(look.materials), ()
-    for line in look.files.get(LIBRARY, b"").splitlines(keepends=True):
-        if line.split()[:1] == [b"newmtl"]:
-            begun, own = line, tuple({_material_name(line.decode("utf-8", "replace").partition("newmtl")[2])} & named)
+    kept = []
+    for material, word, rest, line in _library_lines(look):
         try:
-            _materials(replace(look, materials=own, files={**look.files, LIBRARY: begun + line}))
+            _said(look, material, word, rest)
             kept.append(line)
         except ValueError as error:
             warn(str(error))
@@ -106,27 +106,35 @@ def split_at_seams(look: Look, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _materials(look: Look) -> dict[str, Surface]:
     """Each material named, from the material library, of no faces yet; white where that says nothing."""
     found = {name: Surface(name, (1.0, 1.0, 1.0), np.empty(0, dtype=int)) for name in look.materials}
-    name = None
-    for line in look.files.get(LIBRARY, b"").decode("utf-8", "replace").splitlines():
-        word, rest = [*line.split(None, 1), "", ""][:2]
-        if word == "newmtl":
-            name = _material_name(rest)
-        elif name in found and word == "Kd":
-            found[name] = replace(found[name], colour=_shares(name, "colour Kd", rest, 3))
-        elif name in found and word in SHADING:
-            found[name] = replace(found[name], **{SHADING[word]: _shares(name, f"{SHADING[word]} {word}", rest, 1)[0]})
-        elif name in found and word == "map_Kd":
-            picture, options = _picture(look, name, rest)
-            found[name] = replace(found[name], picture=picture, repeats=_repeats(name, options))
-        elif name in found and word == "norm":
-            picture, options = _picture(look, name, rest)
-            found[name] = replace(found[name], normals=picture, normal_repeats=_repeats(name, options))
+    for material, word, rest, _ in _library_lines(look):
+        if material:
+            found[material] = replace(found[material], **_said(look, material, word, rest))
     return found
 
 
-def _material_name(text: str) -> str:
-    """As `usemtl` is read. text: what follows the keyword."""
-    return " ".join(text.split())
+def _library_lines(look: Look) -> Iterator[tuple[str, str, str, bytes]]:
+    """Of each line: the material that it is about, empty for one of no face; keyword and what follows it; the line."""
+    material = ""
+    for line in look.files.get(LIBRARY, b"").splitlines(keepends=True):
+        word, rest = [*line.decode("utf-8", "replace").split(None, 1), "", ""][:2]
+        if word == "newmtl":
+            name = " ".join(rest.split())  # as `usemtl` is read
+            material = name if name in look.materials else ""
+        yield material, word, rest, line
+
+
+def _said(look: Look, material: str, word: str, rest: str) -> dict[str, Any]:
+    """What a line says of a material, as fields of a `Surface`. Raises ValueError for what cannot be."""
+    if not material:
+        return {}
+    if word == "Kd":
+        return {"colour": _shares(material, "colour Kd", rest, 3)}
+    if word in SHADING:
+        return {SHADING[word]: _shares(material, f"{SHADING[word]} {word}", rest, 1)[0]}
+    if word in PICTURES:
+        picture, options = _picture(look, material, rest)
+        return dict(zip(PICTURES[word], (picture, _repeats(material, options))))
+    return {}
 
 
 def _shares(material: str, what: str, text: str, count: int) -> tuple[float, ...]:

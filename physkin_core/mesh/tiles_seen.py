@@ -10,7 +10,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from physkin_core.mesh.look import check_picture_size
 from physkin_core.mesh.surfaces import Picture
 
 __all__ = ["colours_seen", "normals_seen"]
@@ -40,7 +39,6 @@ def normals_seen(picture: Picture, repeats: tuple[float, float], pixel: float) -
 def _decoded(picture: Picture, channels: str) -> np.ndarray:
     from PIL import Image
 
-    check_picture_size(picture.content)
     return np.asarray(Image.open(io.BytesIO(picture.content)).convert(channels), dtype=np.float32) / 255
 
 

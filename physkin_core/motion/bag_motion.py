@@ -6,7 +6,6 @@ Dimensions: `T` frames, `d` joints. Times in ns.
 from __future__ import annotations
 
 import logging
-import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.file_reading import Budget, reading
+from physkin_core.file_reading import reading
 from physkin_core.motion.bag_reader import BagError, BagReader, Recorded, decode
 from physkin_core.motion.motion import MOST_FRAMES, Motion, upright_orientation
 
@@ -28,7 +27,6 @@ LARGEST_DISAGREEMENT = 5.0  # [degrees] of odometry and gravity about what is do
 MOST_FRAMES_A_STATE = 100
 """A clip has at most this many frames for each joint state: more would be a pause of hours, or stamps of two clocks."""
 LARGEST_CLIP = 1 << 29  # [bytes] of the joint positions
-LARGEST_NAMES = 1 << 26  # [bytes] of joint names
 
 
 @dataclass(frozen=True)
@@ -39,21 +37,6 @@ class _Sample:
     time_ns: int
     names: tuple[str, ...]
     values: np.ndarray
-
-
-class _JointNames:
-    """The names of joint states, the same ones kept once: some bag brings new ones in each message."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, ...], tuple[str, ...]] = {}
-        self._budget = Budget(LARGEST_NAMES)
-
-    def kept(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Equal names, as they were kept first. Raises ContentError when they take too much memory."""
-        if names not in self._known:
-            self._budget.charge(sum(map(sys.getsizeof, names)), "all different joint names")
-            self._known[names] = names
-        return self._known[names]
 
 
 def load_bag_motion(path: str | Path) -> Motion:
@@ -67,7 +50,7 @@ def load_bag_motion(path: str | Path) -> Motion:
     """
     kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": [], "odometry": []}
     left_out = 0
-    joint_names = _JointNames()
+    joint_names: dict[tuple[str, ...], tuple[str, ...]] = {}  # equal ones are kept once
     with reading(f"bag {path}", BagError), BagReader(path, root=["odometry"]) as bag:
         for message in bag:
             try:
@@ -75,7 +58,7 @@ def load_bag_motion(path: str | Path) -> Motion:
             except ValueError:
                 left_out += 1
             else:
-                kept[message.kind].append(replace(sample, names=joint_names.kept(sample.names)))
+                kept[message.kind].append(replace(sample, names=joint_names.setdefault(sample.names, sample.names)))
     if left_out:
         log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
     if not all(sample.stamp_ns for samples in kept.values() for sample in samples):

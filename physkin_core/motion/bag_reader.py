@@ -19,7 +19,6 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from physkin_core.file_reading import ContentError, reading
-from physkin_core.motion.bag_limits import check_before_opening, check_opened, unpacked_message, without_views
 from physkin_core.motion.motion import MotionError
 
 __all__ = [
@@ -92,22 +91,16 @@ class BagReader:
         root: Collection[Literal["odometry", "transforms"]] = (),
     ) -> None:
         self.path = Path(path)
-        with bag_errors(self.path), without_views():
-            check_before_opening(self.path)
+        with bag_errors(self.path):
             self._reader = Reader(self.path)
             self._reader.open()
         try:
-            with bag_errors(self.path):
-                check_opened(self._reader)
             types = {connection.topic: connection.msgtype for connection in self._reader.connections}
             self.topic = _topic(self.path, types, topic, JOINT_STATE, "/joint_states", required=True)
             self.orientation_topic = _orientation_topic(self.path, types, orientation, orientation_topic)
         except BagError:
             self._reader.close()
             raise
-        storage = self._reader.storage
-        self._compressed = storage.metadata.compression_mode == "message"
-        storage.metadata = storage.metadata._replace(compression_mode=None)  # messages are unpacked here, within limits
         root = (*root, "transforms") if orientation == "tf" else root
         self._kinds = {name: kind for kind in root for name in ROOT_TOPICS[kind] if types.get(name) == KINDS[kind]}
         self._kinds[self.topic] = "joint_state"
@@ -140,7 +133,7 @@ class BagReader:
                     Recorded(
                         self._kinds[connection.topic],
                         time_ns,
-                        unpacked_message(bytes(data), compressed=self._compressed),
+                        bytes(data),
                         connection.topic,
                     )
                     for connection, time_ns, data in moment

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from physkin_core.file_reading import ContentError, reading
-from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_scene import drawn_primitives
+from physkin_core.file_reading import ContentError, read_bytes, reading
+from physkin_core.formats.gltf_document import parse_gltf
 from physkin_core.formats.obj_file import read_obj
 from physkin_core.formats.ply_file import read_ply
-from physkin_core.mesh.look import check_picture_size
 from physkin_core.points.splats import Splats
 
 __all__ = ["POINT_FILES", "PointFile", "PointFileError", "read_points", "read_splat_file", "splat_colours"]
@@ -121,20 +118,13 @@ def _read_obj(path: Path) -> PointFile:
 
 
 def _read_glb(path: Path) -> PointFile:
-    """All meshes of the scene, in its frame. Skins and animations are left out.
-
-    trimesh writes it again, looks and all; so it reads it, too, once it is known to be whole and not too large.
-    """
+    """All meshes of the scene, in its frame, by trimesh, which can write it again, looks and all. Skins and animations
+    are left out."""
     import trimesh
 
-    file = GltfFile(path)
-    file.read_all()
-    for _ in drawn_primitives(file):
-        pass
-    with suppress(ModuleNotFoundError):  # without pillow trimesh leaves pictures alone, too
-        for index in range(file.document.count("images")):
-            check_picture_size(file.picture(index))
-    scene = trimesh.load_scene(io.BytesIO(file.content), file_type="glb", process=False)
+    content = read_bytes(path)
+    parse_gltf(content)  # it says more clearly what is wrong
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False)
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     found = [(scene.geometry[name], transform) for transform, name in placed]
     meshes = [  # the cache has the file's own normals

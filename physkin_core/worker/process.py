@@ -8,13 +8,13 @@ import os
 import signal
 import subprocess
 import sys
+from multiprocessing.connection import Pipe
 from threading import Lock
 from time import monotonic
 from typing import Any
 
 from physkin_core.file_reading import sentence
-from physkin_core.worker.channel import Channel, channel_ends
-from physkin_core.worker.codec import Codec, CodecError
+from physkin_core.worker.shared_arrays import fetch, shared_file
 
 __all__ = ["Worker", "WorkerError"]
 
@@ -35,13 +35,15 @@ class WorkerError(ValueError):
 class Worker:
     """A process that runs `module` and answers one request at a time, from any thread.
 
-    module: calls `serve` when it is run. codec: the one that it gives. seconds: that an answer may take. memory: [MiB]
-    that it may take beyond what the process has when it begins. The first process is begun at once, so that it is
-    there when it is needed.
+    module: calls `serve` when it is run. seconds: that an answer may take. memory: [MiB] that it may take beyond what
+    the process has when it begins. The first process is begun at once, so that it is there when it is needed.
+
+    It is begun by `subprocess`, since `multiprocessing` would import there whatever `__main__` is here, such as a node
+    with all of ROS, and lets nobody set its environment; what `multiprocessing` has for talking is used.
     """
 
-    def __init__(self, module: str, codec: Codec, *, seconds: float, memory: int) -> None:
-        self._module, self._codec = module, codec
+    def __init__(self, module: str, *, seconds: float, memory: int) -> None:
+        self._module = module
         self.seconds, self.memory = seconds, memory
         self._asking, self._changing = Lock(), Lock()
         self._closed = self._cancelled = False
@@ -49,21 +51,20 @@ class Worker:
 
     def _begin(self) -> None:
         self._ready = False
-        ours, its = channel_ends()
-        self._channel = Channel(*ours, self._codec)
+        self._arrays = shared_file()
+        requests, self._requests = Pipe(duplex=False)
+        self._answers, answers = Pipe(duplex=False)
+        passed = requests.fileno(), answers.fileno(), self._arrays
         paths = dict.fromkeys(os.path.abspath(path) for path in sys.path)
-        try:
+        with requests, answers:  # which the process has, too
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", self._module, *map(str, (*its, self.seconds, self.memory))],
+                [sys.executable, "-P", "-m", self._module, *map(str, (*passed, self.memory, self.seconds))],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                pass_fds=its,
+                pass_fds=passed,
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(paths)},
                 start_new_session=True,  # Ctrl+C is for whoever started it
             )
-        finally:
-            for end in its:
-                os.close(end)
 
     @property
     def pid(self) -> int:
@@ -82,47 +83,50 @@ class Worker:
             if self._process.poll() is not None:  # it was killed while nobody asked
                 self._replace()
             try:
-                said = self._answer(request)
-            except (EOFError, TimeoutError, CodecError) as error:
-                if isinstance(error, EOFError):
+                kind, said = self._answer(request)
+            except (OSError, EOFError) as error:
+                if not isinstance(error, TimeoutError):
                     self._wait()
-                fate = self._fate(error, self._process.poll())
+                fate = self._fate(self._process.poll())
                 self._replace()
                 raise WorkerError(sentence(f"{what} {fate}")) from error
             finally:
                 self._cancelled = False
-        if "refused" in said:
-            raise WorkerError(sentence(said["refused"]))
-        if "memory" in said:
+        if kind == "answer":
+            return said
+        if kind == "failed":
+            raise RuntimeError(said)
+        if kind == "memory":
             too_much = f"it takes more than {self.memory} MiB of memory (load_memory_limit)"
-            raise WorkerError(sentence(f"{what} could not be loaded: {too_much}; use a smaller file"))
-        if "failed" in said:
-            raise RuntimeError(said["failed"])
-        return said["answer"]
+            said = f"{what} could not be loaded: {too_much}; use a smaller file"
+        raise WorkerError(sentence(said))
 
-    def _answer(self, request: object) -> Any:
+    def _answer(self, request: object) -> tuple[str, Any]:
+        """What became of it, and its value. Raises EOFError or OSError, as TimeoutError, where there is none."""
         if not self._ready:
-            self._channel.receive(monotonic() + STARTS_WITHIN)
+            self._receive(monotonic() + STARTS_WITHIN)
             self._ready = True
         deadline = monotonic() + self.seconds
-        self._channel.send(request)
-        said = self._channel.receive(deadline)
-        while "log" in said:
-            name, level, text = said["log"]
+        self._requests.send(request)
+        while (said := self._receive(deadline))[0] == "log":
+            name, level, text = said[1]
             logging.getLogger(name).log(level, "%s", text)
-            said = self._channel.receive(deadline)
-        return said
+        return ("answer", fetch(*said[1], self._arrays)) if said[0] == "answer" else said
 
-    def _fate(self, error: Exception, status: int | None) -> str:
+    def _receive(self, deadline: float) -> tuple[str, Any]:
+        """deadline: as of `monotonic`."""
+        if not self._answers.poll(max(0.0, deadline - monotonic())):
+            raise TimeoutError
+        return self._answers.recv()
+
+    def _fate(self, status: int | None) -> str:
         """Why there is no answer. status: with which the process ended, None where it had not."""
         if self._cancelled:
             return "was not loaded: loading was cancelled"
         if not self._ready:
             return f"could not be loaded: the process that reads files has not started (exit status {status})"
-        if isinstance(error, TimeoutError) or status == -signal.SIGALRM:
+        if status in (None, -signal.SIGALRM):
             return f"could not be loaded within {self.seconds:g} s (load_timeout); use a smaller file"
-        if isinstance(error, CodecError) or status is None:
-            return f"could not be loaded: what was read of it cannot be told ({error})"
         ended = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
         return (
             f"could not be loaded: the process that read it was ended ({ended}); a file must not be damaged, nor be "
@@ -153,7 +157,10 @@ class Worker:
     def _end(self) -> None:
         self._process.kill()
         self._wait()
-        self._channel.close()
+        if not self._requests.closed:
+            self._requests.close()
+            self._answers.close()
+            os.close(self._arrays)
 
     def _wait(self) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a read of the system's

@@ -7,20 +7,22 @@ opening one: it contains accidents and bombs, not an attacker who runs code.
 
 from __future__ import annotations
 
-import argparse
+import contextlib
+import errno
 import logging
 import os
 import resource
 import select
 import signal
+import sys
 import warnings
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from physkin_core.worker.channel import Channel
-from physkin_core.worker.codec import Codec, CodecError
+from physkin_core.worker.shared_arrays import store
 
 __all__ = ["serve"]
 
@@ -33,44 +35,38 @@ OVERTIME = 5
 """[s] after its time the process ends by itself, where nobody ended it."""
 
 
-def serve(answer: Callable[[Any], object], codec: Codec) -> None:
+def serve(answer: Callable[[Any], object]) -> None:
     """Answer requests until the other end goes. Arguments of the command line: `Worker` gives them."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("incoming", type=int, help="pipe of requests")
-    parser.add_argument("outgoing", type=int, help="pipe of answers")
-    parser.add_argument("seconds", type=float)
-    parser.add_argument("memory", type=int, help="[MiB]")
-    given = parser.parse_args()
-    channel = Channel(given.incoming, given.outgoing, codec)
-    Thread(target=_end_with, args=(given.outgoing,), daemon=True).start()
-    _limit(given.memory)
+    *given, seconds = sys.argv[1:]
+    requests_end, answers_end, arrays, memory = map(int, given)
+    requests, answers = Connection(requests_end, writable=False), Connection(answers_end, readable=False)
+    Thread(target=_end_with, args=(answers_end,), daemon=True).start()
+    _limit(memory)
     warnings.simplefilter("ignore")  # what is worth saying is in what is loaded
     logger = logging.getLogger("physkin_core")
     logger.setLevel(logging.INFO)
-    logger.addHandler(_Forwarding(channel))
+    logger.addHandler(_Forwarding(answers))
     logger.propagate = False
-    channel.send({"ready": True})
-    while True:
-        try:
-            request = channel.receive()
-        except EOFError:
-            return
-        signal.setitimer(signal.ITIMER_REAL, given.seconds + OVERTIME)
-        try:
-            said: dict[str, object] = {"answer": answer(request)}
-        except MemoryError:
-            said = {"memory": True}
-        except (ValueError, OSError) as error:
-            said = {"refused": str(error)}
-        except Exception as error:  # a fault of ours, or of a library: this request's alone
-            said = {"failed": f"{type(error).__name__}: {error}"[:LONGEST_LINE]}
-        try:
-            channel.send(said)
-        except CodecError as error:
-            channel.send({"failed": f"{type(error).__name__}: {error}"})
-        except EOFError:
-            return
-        signal.setitimer(signal.ITIMER_REAL, 0)
+    with contextlib.suppress(EOFError, BrokenPipeError):
+        answers.send(("ready", None))
+        while True:
+            request = requests.recv()
+            signal.setitimer(signal.ITIMER_REAL, float(seconds) + OVERTIME)
+            answers.send(_answered(answer, request, arrays))
+            signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _answered(answer: Callable[[Any], object], request: object, arrays: int) -> tuple[str, object]:
+    """What became of a request, and what there is to say of it; `Worker` knows the words."""
+    try:
+        return "answer", store(answer(request), arrays)
+    except Exception as error:
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return "memory", None
+        if isinstance(error, ValueError | OSError):
+            return "refused", str(error)
+        # a fault of ours, or of a library: this request's alone
+        return "failed", f"{type(error).__name__}: {error}"[:LONGEST_LINE]
 
 
 def _limit(memory: int) -> None:
@@ -90,10 +86,10 @@ def _limit(memory: int) -> None:
     os.nice(POLITENESS)
 
 
-def _end_with(outgoing: int) -> None:
+def _end_with(answers: int) -> None:
     """End this process when nobody reads from a pipe any more, however that came, and whatever is being done here."""
     poll = select.poll()
-    poll.register(outgoing, select.POLLERR)
+    poll.register(answers, select.POLLERR)
     poll.poll()
     os._exit(0)
 
@@ -101,9 +97,9 @@ def _end_with(outgoing: int) -> None:
 class _Forwarding(logging.Handler):
     """Says what is logged to the other end."""
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, answers: Connection) -> None:
         super().__init__()
-        self._channel = channel
+        self._answers = answers
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._channel.send({"log": (record.name, record.levelno, record.getMessage()[:LONGEST_LINE])})
+        self._answers.send(("log", (record.name, record.levelno, record.getMessage()[:LONGEST_LINE])))

@@ -7,7 +7,6 @@ from itertools import islice
 from pathlib import Path
 
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
-from physkin_core.yaml_limits import check_yaml
 from physkin_ros.node.settings import NodeSettings, SettingsError
 from physkin_ros.node.settings_reading import check_names, read_settings
 
@@ -30,7 +29,6 @@ def _parsed(text: str) -> object:
     import yaml  # rclpy brings it
 
     try:
-        check_yaml(yaml.parse(text))
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ContentError(str(error)) from error

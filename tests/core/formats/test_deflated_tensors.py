@@ -13,7 +13,6 @@ from physkin_core.file_reading import ContentError
 from physkin_core.formats.deflated_tensors import (
     DEFLATED,
     LEAST_DEFLATED,
-    MOST_INFLATED,
     deflate_tensors,
     inflate_tensors,
 )
@@ -69,45 +68,49 @@ def raw(content: bytes) -> np.ndarray:
 SOUND = raw(bytes(1000))
 
 
+PLAIN = ["|u1", [1000], "plain"]
+
+
 @pytest.mark.parametrize(
-    "entries, stream, message",
+    "entry, stream, message",
     [
-        ("{", SOUND, "'deflated' is not JSON"),
-        ("[" * 100_000, SOUND, "'deflated' is not JSON"),
-        ("[1]", SOUND, "'deflated' is .1., expected an object"),
-        ({"b": ["|u1", [1000], "plain"]}, SOUND, "lacks 'b'"),
-        *(({"a": entry}, SOUND, "its metadata say .* of 'a', allowed") for entry in (
+        *((entry, SOUND, "TypeError|KeyError|ValueError") for entry in (
             7, [], ["|u1"], ["|u1", 1000, "plain"], ["|u1", [], "plain"], ["<f8", [125], "plain"],
-            ["|O", [125], "plain"],
-            [3, [1000], "plain"], ["|u1", [-1000], "plain"], ["|u1", [1000.0], "plain"], ["|u1", [True], "plain"],
-            ["|u1", [1000], "columns"], ["|u1", [1000], 0], ["<f2", [500], "rows"])),
-        ({"a": ["|u1", [999], "plain"]}, SOUND, "does not inflate to the 999 bytes"),
-        ({"a": ["|u1", [1001], "plain"]}, SOUND, "does not inflate to the 1001 bytes"),
-        ({"a": ["|u1", [0], "plain"]}, SOUND, "does not inflate to the 0 bytes"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND[:-1], "does not inflate to"),
-        ({"a": ["|u1", [1000], "plain"]}, np.append(SOUND, SOUND[:1]), "does not inflate to"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND[:0], "does not inflate to"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND[::-1].copy(), "cannot be inflated|does not inflate"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND[None], "is uint8 of shape .*, expected uint8"),
-        ({"a": ["|u1", [1000], "plain"]}, SOUND.astype(np.int16), "is int16 of shape .*, expected uint8"),
-        ({"a": ["<u4", [1 << 20] * 3, "plain"]}, SOUND, f"takes .* after 0, allowed are {MOST_INFLATED}"),
-        ({"a": ["|u1", [10**400], "plain"]}, SOUND, "takes .* bytes after 0, allowed"),
+            ["|O", [125], "plain"], [3, [1000], "plain"], ["|u1", [-1000], "plain"], ["|u1", [1000.0], "plain"])),
+        *(([dtype, [1000], kind], SOUND, "allowed are uint8 and plain, rows, numbers")
+          for dtype, kind in (("|u1", "columns"), ("|u1", 0), ("<f2", "rows"))),
+        *((["|u1", [size], "plain"], SOUND, f"does not inflate to {size} bytes") for size in (0, 999, 1001)),
+        (PLAIN, SOUND[:-1], "does not inflate to"),
+        (PLAIN, np.append(SOUND, SOUND[:1]), "does not inflate to"),
+        (PLAIN, SOUND[:0], "0 bytes cannot hold 1000"),
+        (PLAIN, SOUND[::-1].copy(), "while decompressing|does not inflate"),
+        (PLAIN, SOUND.astype(np.int16), "allowed are uint8 and"),
+        (["<u4", [1 << 20] * 3, "plain"], SOUND, "11 bytes cannot hold 4611686018427387904"),
+        (["|u1", [10**400], "plain"], SOUND, "11 bytes cannot hold an integer of 1329 bits"),
     ],
 )  # fmt: skip
-def test_what_lies_about_itself_is_refused(entries, stream, message):
-    text = entries if isinstance(entries, str) else json.dumps(entries)
+def test_what_lies_about_itself_is_refused(entry, stream, message):
+    with pytest.raises(ContentError, match=rf"'a' cannot be inflated by .type, shape, kind. .*({message})"):
+        inflate_tensors({DEFLATED: json.dumps({"a": entry})}, {"a": stream})
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [("{", "is no JSON object"), ("[" * 100_000, "is no JSON object"), ("[1]", "no JSON object"), ('{"b": 1}', "'b'")],
+)
+def test_entries_of_something_else_are_refused(text, message):
     with pytest.raises(ContentError, match=message):
-        inflate_tensors({DEFLATED: text}, {"a": stream})
+        inflate_tensors({DEFLATED: text}, {"a": SOUND})
 
 
-def test_a_stream_of_a_gigabyte_takes_no_more_than_it_says():
-    """A megabyte inflates to a gigabyte; it is left at what the metadata say."""
+def test_a_stream_of_many_megabytes_takes_no_more_than_it_says():
+    """A few bytes inflate to 64 megabytes; it is left at what the metadata say."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     chunk = bytes(1 << 20)
-    bomb = b"".join(deflate.compress(chunk) for _ in range(1024)) + deflate.flush()
+    bomb = b"".join(deflate.compress(chunk) for _ in range(64)) + deflate.flush()
     tracemalloc.start()
     try:
-        with pytest.raises(ContentError, match="does not inflate to the 1000 bytes"):
+        with pytest.raises(ContentError, match="does not inflate to 1000 bytes"):
             inflate_tensors(
                 {DEFLATED: json.dumps({"a": ["|u1", [1000], "plain"]})}, {"a": np.frombuffer(bomb, np.uint8)}
             )

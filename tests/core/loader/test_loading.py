@@ -46,9 +46,9 @@ def test_what_is_kept_is_limited_in_bytes(wanted, monkeypatch):
     assert [answers(wanted).cached for _ in range(2)] == [False, False]
 
 
-def test_another_garment_on_the_same_body_does_not_read_it_again(wanted, monkeypatch):
+def test_what_is_worn_otherwise_does_not_read_the_body_again(wanted, monkeypatch):
     answers, load, loads = Loading(), loading.load_avatar, []
     monkeypatch.setattr(loading, "load_avatar", lambda *given, **options: loads.append(1) or load(*given, **options))
-    for garment in (wanted.garments[0], GarmentRequest("tshirt"), wanted.garments[0]):
-        answers(OutfitRequest((garment,), wanted.body))
+    for fit in (None, 0.0, None):
+        answers(OutfitRequest((GarmentRequest(wanted.garments[0].model, fit=fit),), wanted.body))
     assert len(loads) == 1

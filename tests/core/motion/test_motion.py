@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzzing import check_refusals
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
@@ -233,11 +232,3 @@ def test_upright_is_the_smallest_turn(gravity):
     turn = Rotation.from_quat(upright_orientation(np.array([gravity], dtype=float)))[0].as_matrix()
     np.testing.assert_allclose(turn @ gravity, [0, 0, -1], atol=1e-12)
     assert np.trace(turn) == pytest.approx(1 - 2 * gravity[2]), "the smallest rotation"
-
-
-@pytest.mark.slow
-def test_a_thousand_damages(tmp_path):
-    """Each file is read, or refused in one sentence."""
-    whole = tmp_path / "run.safetensors"
-    whole.write_bytes((MOTIONS_DIRECTORY / whole.name).read_bytes())
-    assert check_refusals(load_motion, whole, MotionError, range(1000)) > 300

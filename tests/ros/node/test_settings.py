@@ -191,8 +191,7 @@ def test_what_is_wrong_is_named(tmp_path, text, reason):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("drape_node: " + "{a: " * 3000 + "1" + "}" * 3000, "it is nested more than 20 deep"),
-        ("a: &a [1, 2]\ndrape_node: {ros__parameters: {model: *a}}", "has an alias (*NAME)"),
+        ("drape_node: " + "{a: " * 3000 + "1" + "}" * 3000, "is nested too deeply"),
         ("drape_node: {ros__parameters: {? [1, 2] : 3}}", "found unhashable key"),
         ("drape_node: {ros__parameters: {" + "k" * 900 + ": 3}}", "parameter kkkk"),
         ("[" + "1, " * 9000 + "1]", "expected a ROS 2 parameter file"),

@@ -1,4 +1,4 @@
-"""What the node must not do: open sockets of its own, unpickle or evaluate what it reads, do without security."""
+"""What the node must not do: open sockets of its own, unpickle or evaluate files and messages, do without security."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ FORBIDDEN_MODULES = {
 }  # fmt: skip
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load", "torch.load"}
 EXCEPTIONS = {
+    ("physkin_core/worker/shared_arrays.py", "pickle"),  # of the process that loads
     ("physkin_ros/middleware/transport.py", "socket"),  # looks for a free domain, for demo, bench and tests
     ("physkin_core/view/page.py", "socket"),  # the page listens, as its user asks
     ("physkin_core/extras.py", "urllib.request"),  # the path of a file: address
@@ -32,7 +33,8 @@ def watch(event, arguments):
         print("AUDIT", event, arguments, file=sys.stderr, flush=True)
     if event.split(".")[0] in ("socket", "pickle", "marshal", "ftplib", "urllib", "subprocess", "os.system"):
         loads = event == "subprocess.Popen" and "physkin_core.loader.loading_process" in arguments[1]
-        if event != "marshal.loads" and not loads:  # of compiled modules; the process that loads
+        loads |= event == "pickle.find_class" and arguments[0].split(".")[0] in ("physkin_core", "numpy")
+        if event != "marshal.loads" and not loads:  # of compiled modules; the process that loads, and what it says
             print("AUDIT", event, arguments, file=sys.stderr, flush=True)
 sys.addaudithook(watch)
 from physkin_ros.node.node_process import main
@@ -80,8 +82,8 @@ def test_sources_open_no_socket_and_unpickle_nothing(package):
 
 
 def test_running_node_opens_dds_ports_only(peer, domain, garment_model, model_path):
-    """No Python code in it makes a socket, unpickles, opens what it wears or starts another process than the one that
-    loads that; the system knows of UDP ports of DDS only, and of none of that process."""
+    """No Python code in it makes a socket, unpickles other things than PhySkin's own from the process that loads, opens
+    what it wears or starts another process; the system knows of UDP ports of DDS only, and of none of that process."""
     draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
     command = [sys.executable, "-c", WATCHED, "--ros-args", "-p", f"model:={model_path}"]
     node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
