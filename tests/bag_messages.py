@@ -26,7 +26,7 @@ def gravity(x, y, z):
     return Vector3Stamped(Header(Time(0, 0), ""), Vector3(float(x), float(y), float(z)))
 
 
-def write_bag(path, *, storage=None, count=5, pause=0):
+def write_bag(path, *, storage="mcap", count=5, pause=0):
     """A bag of joint states of a hip 20 ms apart, the last after a pause of so many steps."""
     with BagWriter(path, storage=storage) as writer:
         for k in range(count):
