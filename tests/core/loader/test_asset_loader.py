@@ -11,6 +11,7 @@ from threading import Thread
 import numpy as np
 import pytest
 from core.points.splat_files import splat_ply
+from threadpoolctl import threadpool_limits
 
 from physkin_core import (
     BUNDLED_AVATAR,
@@ -37,6 +38,13 @@ def request(*garments, body=BODY, **more):
     """For garments or names of models on a body."""
     worn = [GarmentRequest(each) if isinstance(each, str) else each for each in garments]
     return OutfitRequest(tuple(worn), str(body), **more)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """As in the process that loads: with more, BLAS adds up in another order, and the last bits differ."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture(scope="module")
