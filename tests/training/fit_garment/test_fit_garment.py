@@ -307,7 +307,7 @@ def test_the_report_says_whether_to_train_longer(energies, words):
 
 def test_the_report_says_what_was_taken_over_and_what_was_learnt():
     rows = [{"step": step, "validation_energy": energy} for step, energy in ((0, 3.6), (100, 1.7), (200, 1.8))]
-    begun = {"started_from": {"carried_from": "hoodie"}}
+    begun = {"started_from": {"transferred_from": "hoodie"}}
     lost, kept = (training_record.taken_over(begun, sways=sways) for sways in (False, True))
     assert "began with hoodie" in lost and "hoodie has no sway network" in lost and "learn-sway" in lost
     assert "and its sway network, by which cloth lags" in kept and "learn-sway" not in kept

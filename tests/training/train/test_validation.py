@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from physkin_training.train.processes import Processes
 from training.small_runs import small_config, train_command
 
 from physkin_core import load_body_model, load_garment_model
@@ -17,7 +18,6 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import PosedBodies
-from physkin_training.train.processes import Processes
 from physkin_training.train.train import main
 from physkin_training.train.trainer import Trainer
 from physkin_training.train.validation import Validation

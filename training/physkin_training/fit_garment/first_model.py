@@ -20,9 +20,9 @@ from physkin_core.render.filming import dressed_meshes
 from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.fit_garment.verdicts import Verdict
-from physkin_training.networks.carried_model import carried_model
-from physkin_training.networks.likeness import NEAR, Likeness
 from physkin_training.train.fitted_weights import fitted_weights
+from physkin_training.transfer.likeness import NEAR, Likeness
+from physkin_training.transfer.model_transfer import transferred_model
 
 __all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
 
@@ -58,7 +58,7 @@ def first_model(
     bones."""
     if likeness is None:
         return replace(plain_model(mesh), name=name)
-    return fitted_weights(carried_model(likeness.model, load_garment(mesh), name=name), body_model, device)
+    return fitted_weights(transferred_model(likeness.model, load_garment(mesh), name=name), body_model, device)
 
 
 def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
@@ -66,7 +66,7 @@ def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
     moved = np.linalg.norm(model.garment.vertices - garment.vertices, axis=1)
     edges = np.abs(model.garment.edge_lengths / garment.edge_lengths - 1)
     found = (
-        f"laid in the folds of {model.training['carried_from']}: vertices moved by {1e3 * moved.mean():.0f} mm on "
+        f"laid in the folds of {model.training['transferred_from']}: vertices moved by {1e3 * moved.mean():.0f} mm on "
         f"average, rest edges changed by {100 * edges.mean():.1f} %"
     )
     return Verdict("folds", "repaired", found, "those of the garment that training begins with")

@@ -300,7 +300,7 @@ def _configuration(
         recipe = load_config(options.recipe, name=name, garment=mesh)
     else:
         recipe = default_recipe(name, mesh, device, seconds=budget.seconds)
-    carried = "carried_from" in start.training
+    carried = "transferred_from" in start.training
     if carried and has_sizes_of(recipe, start):
         beside = mesh.with_name(START)
         shutil.copyfile(options.output, beside)  # as `_show_first` wrote it

@@ -64,7 +64,7 @@ def longer_or_not(rows: list[dict]) -> str:
 def taken_over(training: Mapping, *, sways: bool, own_sway: str = "") -> str:
     """What a run began with, in words. training: of its model. sways: whether that has a sway network. own_sway: how it
     learnt one of its own, in words, "" where it did not try."""
-    start = training.get("started_from", {}).get("carried_from")
+    start = training.get("started_from", {}).get("transferred_from")
     if not start:
         without = f"It has no sway network, {NO_SWAY}"
         return f"Training began with nothing: everything the model knows was learnt on this mesh. {own_sway or without}"
@@ -79,7 +79,7 @@ def taken_over(training: Mapping, *, sways: bool, own_sway: str = "") -> str:
 
 def learnt(training: Mapping, rows: list[dict]) -> str:
     """What a run learnt, in words. training: of its model. rows: of its `losses.jsonl`."""
-    begun = "carried_from" in training.get("started_from", {})
+    begun = "transferred_from" in training.get("started_from", {})
     said = (
         f"{'From there it went on to learn' if begun else 'It learnt from scratch'} the networks, the folds, and how "
         "strongly each node holds each part of your mesh (skinning weights)."

@@ -19,7 +19,6 @@ from safetensors.torch import load_file, save_file
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.soap import SIDES, Soap
-from physkin_training.train.processes import Processes
 from physkin_training.train.validation import BestModel
 
 __all__ = [
@@ -61,17 +60,14 @@ def save_checkpoint(
     *,
     progress: Progress,
     config: TrainingConfig,
-    processes: Processes,
 ) -> None:
     """Write drape, moving average, optimiser and random states as `folder`, replacing a checkpoint that is there.
 
-    Every process must call it; the first writes. Raises CheckpointError when other files lie in `folder`.
+    Raises CheckpointError when other files lie in `folder`.
     """
-    random = {"cpu": processes.gather(torch.get_rng_state())}
+    random = {"cpu": torch.get_rng_state()}
     if torch.cuda.is_available():
-        random["cuda"] = processes.gather(torch.cuda.get_rng_state())
-    if not processes.writes:
-        return
+        random["cuda"] = torch.cuda.get_rng_state()
     folder = folder.resolve()
     _refuse_other_files(folder)
     partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
@@ -99,15 +95,9 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    folder: Path,
-    drape: Drape,
-    averaged: Drape,
-    optimiser: Soap,
-    *,
-    config: TrainingConfig,
-    processes: Processes,
+    folder: Path, drape: Drape, averaged: Drape, optimiser: Soap, *, config: TrainingConfig
 ) -> Progress:
-    """Restore what `save_checkpoint` wrote; random states only to as many processes as wrote them, to others new ones.
+    """Restore what `save_checkpoint` wrote.
 
     Raises CheckpointError when files are missing or do not fit, or the configuration, the garment or the body differs
     (naming the entry).
@@ -123,7 +113,7 @@ def load_checkpoint(
         own = _optimiser_tensors(optimiser, drape)
         for kind, tensors in own.items():
             _check_fit(files[kind], tensors, kind)
-        _set_random_state(files["random"], processes, seed=config.seed, step=state["step"])
+        _set_random_state(files["random"])
     except CheckpointError as error:
         raise CheckpointError(f"checkpoint {folder} {error}") from error
     drape.load_state_dict(files["drape"])
@@ -255,18 +245,12 @@ def _check_fit(tensors: Mapping, expected: Mapping, file: str) -> None:
             )
 
 
-def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, *, seed: int, step: int) -> None:
+def _set_random_state(random: Mapping[str, torch.Tensor]) -> None:
     try:
-        if len(random["cpu"]) != processes.count:
-            processes.seed_samples(seed, step)
-            return
-        own = {
-            device: states[processes.rank].clone() for device, states in random.items()
-        }  # set_rng_state wants no view
-        torch.set_rng_state(own["cpu"])
-        if "cuda" in own and torch.cuda.is_available():
-            torch.cuda.set_rng_state(own["cuda"])
-    except (KeyError, IndexError, TypeError, RuntimeError) as error:
+        torch.set_rng_state(random["cpu"])
+        if "cuda" in random and torch.cuda.is_available():
+            torch.cuda.set_rng_state(random["cuda"])
+    except (KeyError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"has no usable random state: {error!r}") from error
 
 

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 
 import torch
 
-from physkin_training.train.processes import Processes
-
 __all__ = ["steps_within"]
 
 LATE = 0.7
@@ -30,7 +28,6 @@ def steps_within(
     *,
     full_encoding: float,
     device: torch.device,
-    processes: Processes,
 ) -> tuple[int, float]:
     """Steps of a run that takes `seconds` from now on, measuring included, and their rate [steps/s].
 
@@ -40,13 +37,10 @@ def steps_within(
     began = time.perf_counter()
     measuring = min(MEASURING, seconds / 30)
     end = min(full_encoding, 1 - 1 / PARTS)
-    late = _steady_rate(take_steps(LATE, PARTS), measuring, device, processes)
-    last = _steady_rate(take_steps(end, PARTS), measuring / 4, device, processes)
+    late = _steady_rate(take_steps(LATE, PARTS), measuring, device)
+    last = _steady_rate(take_steps(end, PARTS), measuring / 4, device)
     rate = 1 / (end / late + (1 - end) / last)
-    left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
-    processes.average([left])
-    rate, left = left.tolist()
-    steps = int(rate * left * USED)
+    steps = int(rate * (seconds - (time.perf_counter() - began)) * USED)
     if steps < FEWEST_STEPS:
         raise ValueError(
             f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
@@ -54,7 +48,7 @@ def steps_within(
     return steps, rate
 
 
-def _steady_rate(taken: Iterator[int], seconds: float, device: torch.device, processes: Processes) -> float:
+def _steady_rate(taken: Iterator[int], seconds: float, device: torch.device) -> float:
     """Steps a second of those `taken`, over `seconds` after a warm-up."""
     on_gpu = device.type == "cuda"
     look = STEPS_A_LOOK if on_gpu else 1
@@ -67,7 +61,7 @@ def _steady_rate(taken: Iterator[int], seconds: float, device: torch.device, pro
                 done += 1
             if on_gpu:
                 torch.cuda.synchronize(device)
-            (late,) = processes.any(time.perf_counter() - began > seconds)
+            late = time.perf_counter() - began > seconds
         return done / (time.perf_counter() - began)
 
     rate(WARM_UP_STEPS)

@@ -2,7 +2,7 @@
 
 One step draws bodies, poses and gravity, encodes the bodies, drapes the garment and descends the mean physical energy.
 Everything that changes between steps (pose range, contact stiffness, learning rates) sits in tensors, so that a GPU can
-replay the step. Several processes each do the step on their share of the samples and average the gradients.
+replay the step.
 
 Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 """
@@ -20,14 +20,14 @@ from pathlib import Path
 import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
-from physkin_core.model.garment import load_garment
+from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
@@ -38,11 +38,11 @@ from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.sampling.training_bodies import training_bodies
 from physkin_training.soap import TURN_EVERY, Soap
 from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
-from physkin_training.train.processes import Processes
 from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
+from physkin_training.transfer.warm_start import take_over_model
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
@@ -66,8 +66,8 @@ class Trainer:
     both None until pose range and influences are final, but for a run with a `start`, which is measured first.
     `started_from`: plain data on the run this one took its networks from, or None. `made` (S,): which bodies of a step
     are worn made to measure.
-    `body_model`: whose training bodies it takes, default the shipped adults. Of several `processes` each makes a
-    trainer and calls the same methods.
+    garment, start: mesh and model that the run begins with; by default they are read from the files that the
+    configuration names. body_model: whose training bodies it takes, by default the shipped adults.
     """
 
     def __init__(
@@ -75,32 +75,27 @@ class Trainer:
         config: TrainingConfig,
         device: torch.device,
         *,
-        processes: Processes | None = None,
+        garment: Garment | None = None,
+        start: GarmentModel | None = None,
         body_model: BodyModel | None = None,
     ) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = device
-        self.processes = processes or Processes()
         self.step = self.skipped = 0
         self.best: BestModel | None = None
         self.validation_energy: float | None = None
         self.started_from: dict | None = None
         optimisation = config.optimisation
-        count = self.processes.count
-        if optimisation.bodies % count:
-            raise ValueError(
-                f"optimisation.bodies must be a multiple of the {count} processes, got {optimisation.bodies}"
-            )
-        self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
+        self._samples, self._bodies = optimisation.samples, optimisation.bodies
         if self._bodies < 2:
-            raise ValueError("optimisation.bodies must be at least 2 for each process, one of them made to measure for")
+            raise ValueError("optimisation.bodies must be at least 2, one of them with a garment made to measure")
         self.body_model = body_model = body_model or load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
-        self.garment = load_garment(config.garment)
-        start = config.start and load_garment_model(config.start)
+        self.garment = garment or load_garment(config.garment)
+        self.start = start = start or (load_garment_model(config.start) if config.start else None)
         if start:
             nodes, detail = GarmentNodeSet.of_model(start), DetailNodeSet.of_model(start)
         else:
@@ -121,7 +116,6 @@ class Trainer:
         self._normalise_nodes()
         if start:
             self.started_from = take_over_model(start, self.drape)
-        self.processes.broadcast(list(self.drape.state_dict().values()))
         self.averaged = copy.deepcopy(self.drape).requires_grad_(False)
         self.losses = PhysicsLosses(
             self.garment,
@@ -135,9 +129,7 @@ class Trainer:
             heavy_energy=HEAVY_ENERGY,
             rest=rest,
         )
-        self.validation = Validation(
-            config, body_model, self.garment, self.bodies, wearing, self.processes, fits=self.fits, rest=rest
-        )
+        self.validation = Validation(config, body_model, self.garment, self.bodies, wearing, fits=self.fits, rest=rest)
         self.range = torch.zeros((), device=device)
         self._average_decay = torch.zeros((), device=device)
         self._energy_sum = torch.zeros(len(TERMS), device=device)
@@ -150,18 +142,15 @@ class Trainer:
             lambda: self.take_step(),
             device,
             clear=lambda: self.optimiser.zero_grad(),
-            in_company=count > 1,
         )
         # Nothing is pruned before the first step, whatever its schedule says.
         every = config.garment_nodes.initial_influences
         self.schedule = replace(Schedule.at(0, config), influences=every, engine_influences=every)
-        if count > 1:
-            self.processes.seed_samples(config.seed, 0)
 
     def run(self, steps: int) -> Iterator[int]:
         """Do up to `steps` steps, yielding `step` after each."""
         end = min(self.step + steps, self.config.optimisation.steps)
-        if self.step == 0 and self.config.start:
+        if self.step == 0 and self.start:
             self._measure()
         while self.step < end and not self.settled:
             self._set_schedules()
@@ -187,7 +176,6 @@ class Trainer:
                 self.take_steps,
                 full_encoding=self.config.optimisation.full_encoding,
                 device=self.device,
-                processes=self.processes,
             )
         self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
         return rate
@@ -223,10 +211,6 @@ class Trainer:
         drape.load_state_dict(drape.state_dict() | self.best.parameters)
         return drape
 
-    def close(self) -> None:
-        """Drop the recorded step, which holds on to the other processes."""
-        self._recorded.forget()
-
     def mean_energies(self) -> dict[str, float]:
         """Mean energies [J] a sample by term over the steps since the last call. Waits for the device.
 
@@ -242,7 +226,7 @@ class Trainer:
     def median_energy(self) -> float:
         """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
         mean, do not move it. Waits for the device."""
-        return self.processes.gather(self._stretch_and_collision).median().item()
+        return self._stretch_and_collision.median().item()
 
     def average_energy(self) -> float:
         """Mean energy [J] of the averaged drape, gravity left out, on the validation's bodies and poses. Waits for the
@@ -278,10 +262,9 @@ class Trainer:
             torch.cuda.set_rng_state(random[1], self.device)
 
     def _finite_sums(self) -> list[float]:
-        """Mean over the processes of the summed energies [J]. Raises TrainingDiverged when energies since the last
-        report or the last gradient are not finite."""
+        """The summed energies [J]. Raises TrainingDiverged when energies since the last report or the last gradient are
+        not finite."""
         sums = torch.cat([self._energy_sum, self.gradient_norm[None]])
-        self.processes.average([sums])
         if not torch.isfinite(sums).all():
             raise TrainingDiverged(f"energies or gradients are not finite at step {self.step}")
         return sums[:-1].tolist()
@@ -297,15 +280,11 @@ class Trainer:
             self.optimiser,
             progress=Progress(self.step, self.best, self.started_from),
             config=self.config,
-            processes=self.processes,
         )
 
     def resume(self, folder: Path) -> None:
-        """Go on from a checkpoint of the same configuration, whatever number of processes wrote it; exactly as it would
-        have gone on where that is the same number."""
-        progress = load_checkpoint(
-            folder, self.drape, self.averaged, self.optimiser, config=self.config, processes=self.processes
-        )
+        """Go on from a checkpoint of the same configuration, exactly as the run would have gone on."""
+        progress = load_checkpoint(folder, self.drape, self.averaged, self.optimiser, config=self.config)
         self.step = self._summed_from = progress.step
         self.best, self.started_from = progress.best, progress.started_from
 
@@ -412,7 +391,6 @@ class Trainer:
             )
         self.optimiser.zero_grad()
         loss.backward()
-        self.processes.average([parameter.grad for parameter in self.drape.parameters()])
         norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), LARGEST_GRADIENT, foreach=True)
         self.optimiser.step()
         self._update_average()

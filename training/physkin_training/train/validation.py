@@ -4,7 +4,7 @@ weighted as in training.
 A run can end in a worse state than it has been through (docs/notebook/training-runs.md), so the best is kept. The
 bodies are training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
 
-Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process, `n` garment vertices.
+Dimensions: `k` batches, `B` samples and `S` bodies of a batch, `n` garment vertices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
-from physkin_training.train.processes import Processes
 
 __all__ = ["CONTACT_LINEAR_BEYOND", "HEAVY_ENERGY", "BestModel", "Validation"]
 
@@ -59,10 +58,10 @@ class Validation:
     """A fixed set of bodies and poses over the full range; the configuration's seed decides it, on any device.
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
-    samples to come notice it. Of several processes each measures its share of the same set. fits, rest: rest shapes of
-    the set, which is measured both at the template and made to measure. Of the last measurement, None before the first:
-    `made_to_measure` [J], that of the latter alone, and `strained` [J], that without gravity. `chosen` (k, S) indices
-    of bodies, `positions` (k, B, d) [rad] and `gravity` (k, B, 3): this process's share of the set.
+    samples to come notice it. fits, rest: rest shapes of the set, which is measured both at the template and made to
+    measure. Of the last measurement, None before the first: `made_to_measure` [J], that of the latter alone, and
+    `strained` [J], that without gravity. `chosen` (k, S) indices of bodies, `positions` (k, B, d) [rad], `gravity`
+    (k, B, 3).
     """
 
     def __init__(
@@ -72,26 +71,20 @@ class Validation:
         garment: Garment,
         bodies: BodySet,
         wearing: Wearing,
-        processes: Processes,
         *,
         fits: MadeToMeasure,
         rest: RestData,
     ) -> None:
         device = bodies.vertices.device
         optimisation = config.optimisation
-        self._processes, self._fits = processes, fits
+        self._fits = fits
         self.made_to_measure: float | None = None
         self.strained: float | None = None
         generator = torch.Generator().manual_seed(config.seed)
-        chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
+        self.chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator).to(device)
         sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
         samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
-
-        def share(values: torch.Tensor) -> torch.Tensor:
-            return values.chunk(processes.count, dim=1)[processes.rank].contiguous().to(device)
-
-        self.positions, self.gravity = (share(torch.stack(part)) for part in zip(*samples))
-        self.chosen = share(chosen)
+        self.positions, self.gravity = (torch.stack(part).to(device) for part in zip(*samples))
         self._per_body = optimisation.samples // optimisation.bodies
         self._points, self._normals = self._surfaces(bodies)
         count = self.positions.shape[1]
@@ -139,9 +132,7 @@ class Validation:
                 )
                 _, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
                 means[way].append(torch.stack([part.mean() for part in parts(energies)]))
-        found = torch.stack([torch.stack(way).mean(dim=0) for way in means])
-        self._processes.average([found])
-        return found
+        return torch.stack([torch.stack(way).mean(dim=0) for way in means])
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""

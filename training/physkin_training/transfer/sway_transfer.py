@@ -18,7 +18,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_training.networks.export import drape_from_model, encode_bodies
 
-__all__ = ["carried_sway"]
+__all__ = ["transferred_sway"]
 
 BODIES, POINTS = 64, 512
 """Training bodies, and points of each that the encoder sees: an eighth, as for rounding."""
@@ -26,7 +26,9 @@ RIDGE = 1e-2
 """Of the largest spread of modulations; below it, directions are not told apart by so few bodies."""
 
 
-def carried_sway(start: GarmentModel, model: GarmentModel, body_model: BodyModel, device: torch.device) -> SwayNetwork:
+def transferred_sway(
+    start: GarmentModel, model: GarmentModel, body_model: BodyModel, device: torch.device
+) -> SwayNetwork:
     """The sway network of `start`, which has one, for `model`, which has its garment nodes and was trained from it."""
     sway = start.sway
     chosen = body_model.train_bodies[np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]]

@@ -18,18 +18,18 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
-from physkin_training.networks.laid_on import Counterparts, joined_vertices, lay_on
+from physkin_training.transfer.matched_folds import Counterparts, joined_vertices, match_folds
 
-__all__ = ["carried_model"]
+__all__ = ["transferred_model"]
 
 SMOOTHED = 0.02
 """[m] Width over which weights are smoothed where neighbours have counterparts far apart."""
 
 
-def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
-    """The model on another garment, called `name`, which lies in the folds of the model's (`lay_on`): its rest normals
-    are those of the mesh, it has no scores, and in `training` it says what it was `carried_from`."""
-    laid = lay_on(garment, model.garment)
+def transferred_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
+    """The model on another garment, called `name`, which lies in the folds of the model's (`match_folds`): its rest normals
+    are those of the mesh, it has no scores, and in `training` it says what it was `transferred_from`."""
+    laid = match_folds(garment, model.garment)
     garment = replace(garment, vertices=laid.vertices)
     mended = _mended(garment, laid.torn)
 
@@ -53,7 +53,7 @@ def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> Garmen
         engine_nodes=engine_nodes,
         engine_weights=engine_weights,
         detail=detail,
-        training={"carried_from": model.name, "bending_octaves": list(model.bending_octaves)},
+        training={"transferred_from": model.name, "bending_octaves": list(model.bending_octaves)},
         scores={},
     )
 

@@ -23,7 +23,7 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.quality import closest_points
 
-__all__ = ["Counterparts", "LaidOn", "joined_vertices", "lay_on"]
+__all__ = ["Counterparts", "MatchedFolds", "joined_vertices", "match_folds"]
 
 MIXED = 3
 """Closest vertices whose weights are mixed, by the square of their distance."""
@@ -67,7 +67,7 @@ class Counterparts:
 
 
 @dataclass(frozen=True)
-class LaidOn:
+class MatchedFolds:
     """vertices (n, 3) [m]: the garment's, laid on the other one's cloth. there: its counterparts then; torn (n,) bool:
     vertices whose neighbours' counterparts are not beside their own."""
 
@@ -76,7 +76,7 @@ class LaidOn:
     torn: np.ndarray
 
 
-def lay_on(garment: Garment, other: Garment) -> LaidOn:
+def match_folds(garment: Garment, other: Garment) -> MatchedFolds:
     """Lay a garment on the cloth of another one that lies about where it does."""
     first = Counterparts.of(garment, other)
     beyond = first.distance > BEYOND
@@ -117,7 +117,7 @@ def lay_on(garment: Garment, other: Garment) -> LaidOn:
     apart |= _parted(there, other, a, b, garment.edge_lengths)
     for end in (a, b):
         np.logical_or.at(torn, end, apart)
-    return LaidOn(vertices, there, torn)
+    return MatchedFolds(vertices, there, torn)
 
 
 def _parted(there: Counterparts, other: Garment, a: np.ndarray, b: np.ndarray, lengths: np.ndarray) -> np.ndarray:
