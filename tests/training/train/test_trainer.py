@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
 from dataclasses import replace
 
@@ -15,6 +14,7 @@ from random_models import random_sway_network
 from training.small_runs import run, small_config, train_command
 
 from physkin_core import load_body_model, load_garment, load_garment_model
+from physkin_core.cli import main
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.model_file import save_garment_model
@@ -25,8 +25,8 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ
 from physkin_training.train import schedule
 from physkin_training.train import trainer as trainer_module
-from physkin_training.train.train import main
-from physkin_training.train.trainer import TERMS, Trainer
+from physkin_training.train.run import trained_model
+from physkin_training.train.trainer import TERMS, Trainer, TrainingDiverged
 
 CPU = torch.device("cpu")
 
@@ -167,11 +167,10 @@ def config_file(tmp_path):
 
 
 def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
-    """To the end in two parts: stopped by the clock at the first report, resumed, exported."""
     out = finished_run / "out"
     assert json.loads((out / "checkpoint" / "state.json").read_text())["step"] == 12
     rows = [json.loads(line) for line in (out / "losses.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == [4, 8, 12]
+    assert [row["step"] for row in rows] == list(range(1, 13))
     keys = (*TERMS, "range", "gradient_norm", "seconds", "median_stretch_and_collision")
     assert all(math.isfinite(row[term]) for row in rows for term in keys)
     assert list((out / "scalars").iterdir())
@@ -181,7 +180,7 @@ def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
     assert model.training["garment"] == "band.obj", "no path of this machine"
     best = model.training["step"], model.training["validation_energy_j"]
     assert best == (rows[-1]["best_step"], rows[-1]["best_validation_energy"])
-    assert "validation_energy" not in rows[0] and rows[1]["validation_energy"] == rows[1]["best_validation_energy"]
+    assert "validation_energy" not in rows[6] and rows[7]["validation_energy"] == rows[7]["best_validation_energy"]
     garment = load_garment(finished_run / "band.obj")
     np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=2e-6)
     fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
@@ -226,21 +225,18 @@ def spoilt(trainer, vertices, gravity, original, what):
     return original(trainer, vertices, gravity) + math.nan * vertices.sum()
 
 
-@pytest.mark.parametrize("what", ["energies", "gradient"])
-@pytest.mark.parametrize("arguments, kept", [(["--checkpoint-every", "1e-9"], 8), (["--log-every", "1"], None)])
-def test_a_run_that_diverges_keeps_the_good_checkpoint(
-    config_file, tmp_path, monkeypatch, capsys, what, arguments, kept
-):
+@pytest.mark.parametrize(("what", "kept"), [("energies", 8), ("gradient", 8), ("gradient", None)])
+def test_a_run_that_diverges_keeps_the_good_checkpoint(tmp_path, monkeypatch, what, kept):
     """Checkpoints at every step, or none; the ninth step is no longer finite."""
     original = Trainer.objective
     monkeypatch.setattr(Trainer, "objective", lambda trainer, *given: spoilt(trainer, *given, original, what))
-    common = train_command(tmp_path)
-    assert main([*common, *arguments]) == 1
-    error = capsys.readouterr().err
-    assert "not finite at step 9" in error and ("start from it" in error) == bool(kept)
+    trainer, every = Trainer(small_config(tmp_path), CPU), 1e9 if kept is None else 0.0
+    with pytest.raises(TrainingDiverged, match="not finite at step 9") as diverged:
+        trained_model(trainer, tmp_path / "out", tmp_path / "band.safetensors", checkpoint_every=every)
+    assert ("start from it" in str(diverged.value)) == bool(kept)
     state = tmp_path / "out" / "checkpoint" / "state.json"
     assert (json.loads(state.read_text())["step"] if state.exists() else None) == kept
-    assert not list((tmp_path / "out").glob("*.safetensors"))
+    assert not list(tmp_path.glob("*.safetensors"))
 
 
 def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, unfitted_normals):
@@ -257,9 +253,9 @@ def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, u
 def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkeypatch, unfitted_normals):
     """A run from a model is measured before its first step; the next measurement is that of its end."""
     written, finished = [], [0]
-    monkeypatch.setattr("physkin_training.train.train.SHOWN_EVERY", -1.0)
+    monkeypatch.setattr("physkin_training.train.run.SHOWN_EVERY", -1.0)
     monkeypatch.setattr(
-        "physkin_training.train.train.save_garment_model", lambda _, path: written.append((path.name, finished[-1]))
+        "physkin_training.train.run.save_garment_model", lambda _, path: written.append((path.name, finished[-1]))
     )
     run = Trainer.run
     monkeypatch.setattr(
@@ -267,10 +263,9 @@ def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkey
     )
     config = small_config(tmp_path, steps=3)
     at_once = replace(config.optimisation, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=100)
-    config = as_toml(replace(config, optimisation=at_once, start=finished_run / "out" / "band.safetensors"))
-    (tmp_path / "band.toml").write_text(config)
-    shutil.copy(finished_run / "out" / "band.safetensors", tmp_path)
-    main(train_command(tmp_path), shown=tmp_path / "shown.safetensors")
+    start = load_garment_model(finished_run / "out" / "band.safetensors")
+    config = replace(config, optimisation=at_once)
+    trained_model(Trainer(config, CPU, start=start), tmp_path, tmp_path / "shown.safetensors", shown=True)
     assert finished == [0, 1, 2, 3] and set(written) == {("shown.safetensors", 3)}
 
 
@@ -283,9 +278,7 @@ def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path, unfi
     save_garment_model(replace(model, sway=sway), tmp_path / "swaying.safetensors")
     start = load_garment_model(tmp_path / "swaying.safetensors")
     config = replace(small_config(tmp_path, steps=2), start=tmp_path / "swaying.safetensors")
-    (tmp_path / "band.toml").write_text(as_toml(config))
-    assert main(train_command(tmp_path)) == 0
-    kept = load_garment_model(tmp_path / "out" / "band.safetensors").sway
+    kept = trained_model(Trainer(config, CPU), tmp_path / "out", tmp_path / "band.safetensors").sway
     assert all(np.array_equal(ours, theirs) for ours, theirs in zip(kept.rates, start.sway.rates))
     assert kept.code_directions.shape == start.sway.code_directions.shape
 
@@ -295,7 +288,7 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
     tried = []
     monkeypatch.setattr("physkin_training.networks.export.EXPORT_TOLERANCE", 1e-9)
     monkeypatch.setattr(
-        "physkin_training.train.train.rounded_model",
+        "physkin_training.train.run.rounded_model",
         lambda model, *, device, finely=False: tried.append(finely) or model,
     )
     resumed = "--resume", finished_run / "out" / "checkpoint"
@@ -306,14 +299,7 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
 
 
 @pytest.mark.parametrize(
-    "arguments, named",
-    [
-        (["--resume", "a", "--start-from", "b"], "--start-from"),
-        (["--log-every", "0"], "0"),
-        (["--checkpoint-every", "0"], "0"),
-        (["--stop-after", "nan"], "nan"),
-        (["--minutes", "inf"], "inf"),
-    ],
+    "arguments, named", [(["--resume", "a", "--start-from", "b"], "--start-from"), (["--minutes", "inf"], "inf")]
 )
 def test_impossible_arguments(config_file, tmp_path, capsys, arguments, named):
     with pytest.raises(SystemExit):
@@ -367,17 +353,18 @@ def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkey
         return 1.0
 
     text = as_toml(small_config(tmp_path)).splitlines()
-    (tmp_path / "run.toml").write_text("\n".join(line for line in text if not line.startswith("steps")))
-    command = ["--config", str(tmp_path / "run.toml"), "--device", "cpu", "--log-every", "1"]
-    monkeypatch.setattr(Trainer, "choose_steps", choose)
-    first = [*command, "--minutes", "0.1", "--output", str(tmp_path / "first")]
-    assert main([*first, "--stop-after", "1e-9"]) == 0
+    (tmp_path / "band.toml").write_text("\n".join(line for line in text if not line.startswith("steps")))
+    command = train_command(tmp_path, "--minutes", "0.1")
+    with monkeypatch.context() as context:
+        context.setattr(Trainer, "choose_steps", choose)
+        context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=2))
+        assert main(command) == 130
     monkeypatch.setattr(Trainer, "choose_steps", None)
-    resumed = ["--resume", str(tmp_path / "first" / "checkpoint")]
-    assert main([*first, *resumed]) == 0
-    rows = [json.loads(line) for line in (tmp_path / "first" / "losses.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == list(range(1, 8))
-    assert main([*command, "--output", str(tmp_path / "second"), *resumed]) == 2
+    resumed = ["--resume", str(tmp_path / "out" / "checkpoint")]
+    assert main([*command, *resumed]) == 0
+    rows = [json.loads(line) for line in (tmp_path / "out" / "losses.jsonl").read_text().splitlines()]
+    assert rows[-1]["step"] == 7
+    assert main([*train_command(tmp_path, out="second"), *resumed]) == 2
     assert "steps = 7" in capsys.readouterr().err
 
 

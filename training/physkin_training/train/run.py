@@ -19,7 +19,7 @@ from physkin_training.train.run_reports import RunReports
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 from physkin_training.transfer.sway_transfer import transferred_sway
 
-__all__ = ["CHECKPOINT", "CHECKPOINT_EVERY", "TrainingStopped", "export", "trained_model"]
+__all__ = ["CHECKPOINT", "CHECKPOINT_EVERY", "export", "trained_model"]
 
 log = logging.getLogger(__name__)
 CHECKPOINT = "checkpoint"
@@ -30,10 +30,6 @@ REPORTS, MOST_STEPS, LEAST_STEPS = 200, 200, {"cuda": 10, "cpu": 1}
 """Reports of a run, about; steps from one to the next, at most and at least."""
 SHOWN_EVERY = 30.0
 """[s] At least, from one model that is written on the way to the next."""
-
-
-class TrainingStopped(Exception):
-    """Ctrl-C ended a run before its last step; it can be resumed from its checkpoint."""
 
 
 def trained_model(
@@ -59,9 +55,9 @@ def trained_model(
         The model, as read from the file.
 
     Raises:
-        TrainingStopped: for Ctrl-C, after a checkpoint. A second Ctrl-C is a KeyboardInterrupt at once.
+        KeyboardInterrupt: for Ctrl-C, after a checkpoint; for a second one, at once.
         TrainingDiverged: where energies are not finite; it says whether there is a checkpoint from before.
-        CheckpointError: where the folder of the checkpoint holds other files.
+        CheckpointError: where the checkpoint's folder holds other files.
         ExportError: where the model drapes otherwise than the networks it was made of.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -73,7 +69,8 @@ def trained_model(
         kept = f"; {checkpoint} is from before, start from it with a lower learning rate" if checkpoint.exists() else ""
         raise TrainingDiverged(f"{error}{kept}") from error
     if interrupted:
-        raise TrainingStopped(f"stopped at step {trainer.step}; {checkpoint} is what --resume goes on from")
+        log.info("stopped at step %d; go on with --resume %s", trainer.step, checkpoint)
+        raise KeyboardInterrupt
     model = export(trainer, output, shown=shown)
     log.info("%s: %.2f MB", output, output.stat().st_size / 1e6)
     return model

@@ -12,14 +12,13 @@ from pathlib import Path
 from physkin_training.config import load_config
 from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.networks.export import ExportError
-from physkin_training.train.checkpoint import CheckpointError, saved_steps
-from physkin_training.train.run import TrainingStopped, trained_model
+from physkin_training.train.checkpoint import saved_steps
+from physkin_training.train.run import trained_model
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["INTERRUPTED", "command_parser", "main"]
+__all__ = ["command_parser", "main"]
 
 log = logging.getLogger(__name__)
-INTERRUPTED = 130
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -48,22 +47,16 @@ def command_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry. Returns 0; 1 when training fails, 2 for bad input, 130 for Ctrl-C."""
+    """Command line entry. Returns 0; 1 when training fails. Raises ValueError or OSError for bad input,
+    KeyboardInterrupt for Ctrl-C."""
     arguments = command_parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    try:
-        trainer = _trainer(arguments)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    trainer = _trainer(arguments)
     try:
         trained_model(trainer, arguments.output, arguments.output / f"{trainer.config.name}.safetensors")
-    except (TrainingDiverged, CheckpointError, ExportError) as error:
+    except (TrainingDiverged, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except TrainingStopped as stopped:
-        log.info("%s", stopped)
-        return INTERRUPTED
     return 0
 
 

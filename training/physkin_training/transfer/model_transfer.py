@@ -27,8 +27,8 @@ SMOOTHED = 0.02
 
 
 def transferred_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
-    """The model on another garment, called `name`, which lies in the folds of the model's (`match_folds`): its rest normals
-    are those of the mesh, it has no scores, and in `training` it says what it was `transferred_from`."""
+    """The model on another garment, called `name`, which lies in the folds of the model's (`match_folds`): its rest
+    normals are those of the mesh, it has no scores, and in `training` it says what it was `transferred_from`."""
     laid = match_folds(garment, model.garment)
     garment = replace(garment, vertices=laid.vertices)
     mended = _mended(garment, laid.torn)
