@@ -16,7 +16,7 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
-from physkin_training.fit_garment.fitting import CLEARANCE, carried
+from physkin_training.fit_garment.fitting import CLEARANCE, onto_body
 from physkin_training.fit_garment.verdicts import in_lines
 from physkin_training.physics.surface_queries import BodySurface
 
@@ -296,9 +296,9 @@ def test_a_garment_of_another_body_is_carried_over(shirt, template):
     tallest = max(body_model.held_out_bodies, key=lambda c: np.ptp(body_model.vertices(c)[:, 2]))
     tall = avatar_from_body(body_model, tallest)
     vertices, faces = shirt()
-    there = carried(vertices, template, tall)
+    there = onto_body(vertices, template, tall)
     assert np.linalg.norm(there - vertices, axis=1).max() > 0.02
-    assert np.linalg.norm(carried(there, tall, template) - vertices, axis=1).mean() < 0.005
+    assert np.linalg.norm(onto_body(there, tall, template) - vertices, axis=1).mean() < 0.005
     on_tall = BodySurface(tall.vertices, tall.faces).push_out(there, 0.005)
     checked = check_garment(mesh_of(on_tall, faces), tall, template)
     assert not checked.refused

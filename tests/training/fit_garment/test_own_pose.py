@@ -22,7 +22,7 @@ from physkin_core.cli import main
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning
 from physkin_training.fit_garment.checks import check_garment
-from physkin_training.fit_garment.fitting import carried
+from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import find_lying
 from physkin_training.physics.surface_queries import BodySurface
@@ -74,7 +74,7 @@ class Person:
 
     def wearing(self, garment: Garment, template) -> tuple[np.ndarray, np.ndarray]:
         """A garment where it lies on the posed body, vertices (n, 3) [m] in the file's frame, and faces."""
-        on_body = carried(garment.vertices, template, self.canonical)
+        on_body = onto_body(garment.vertices, template, self.canonical)
         near = self.weights[cKDTree(self.canonical.vertices).query(on_body, k=16)[1]].mean(axis=1)
         blended = np.einsum("nb,bij->nij", near, self.transforms)
         posed = np.einsum("nij,nj->ni", blended[..., :3], on_body) + blended[..., 3]

@@ -12,7 +12,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.rest_shape import flat_areas, flat_edges, side_lengths
 from physkin_training.fit_garment.checks import check_garment, write_garment
-from physkin_training.fit_garment.fitting import carried
+from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.rest_shape import check_rest_shape, laid_out
 from physkin_training.fit_garment.verdicts import Checks
 from physkin_training.physics.surface_queries import BodySurface
@@ -70,7 +70,7 @@ def test_panels_are_graded_to_the_template_with_a_mesh_of_another_body(template,
     tallest = max(body_model.held_out_bodies, key=lambda c: np.ptp(body_model.vertices(c)[:, 2]))
     tall = avatar_from_body(body_model, tallest)
     band = sewn_band()
-    on_tall = BodySurface(tall.vertices, tall.faces).push_out(carried(band.vertices, template, tall), 0.005)
+    on_tall = BodySurface(tall.vertices, tall.faces).push_out(onto_body(band.vertices, template, tall), 0.005)
     write_sewn(tmp_path / "band.obj", band.reshaped(on_tall))
     plain = load_garment(tmp_path / "band.obj")
     assert plain.panel_places is not None

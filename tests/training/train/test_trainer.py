@@ -17,7 +17,6 @@ from physkin_core import load_body_model, load_garment, load_garment_model
 from physkin_core.cli import main
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import POINT_COUNT
-from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import as_toml, load_config
 from physkin_training.networks.export import drape_from_model
 from physkin_training.networks.rest_normals import fitted_rest_normals
@@ -25,10 +24,17 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ
 from physkin_training.train import schedule
 from physkin_training.train import trainer as trainer_module
-from physkin_training.train.run import trained_model
+from physkin_training.train.checkpoint import checkpoint_step
+from physkin_training.train.run import best_model, trained_model
 from physkin_training.train.trainer import TERMS, Trainer, TrainingDiverged
 
 CPU = torch.device("cpu")
+
+
+def strained(trainer):
+    """Energy [J] of the averaged drape on the validation's poses, without gravity."""
+    trainer.validation.energy(trainer.averaged)
+    return trainer.validation.strained
 
 
 def test_a_short_run_lowers_the_energy_of_poses_it_has_not_seen(tmp_path, monkeypatch):
@@ -39,10 +45,10 @@ def test_a_short_run_lowers_the_energy_of_poses_it_has_not_seen(tmp_path, monkey
         tmp_path, steps=40, samples=4, growth=0.0, full_encoding=1.0, prune_at=0.6, learning_rate=8e-3
     )
     trainer = Trainer(replace(config, train_bodies=2), CPU)
-    before = trainer.average_energy()
+    before = strained(trainer)
     for _ in trainer.run(39):
         assert math.isfinite(trainer.gradient_norm.item())
-    assert trainer.average_energy() < 0.75 * before
+    assert strained(trainer) < 0.75 * before
     weights = trainer.drape.skinning_weights
     assert (weights > 0).sum(dim=1).max() == 3, "influences are pruned"
     assert torch.allclose(weights.sum(dim=1), torch.ones(()))
@@ -168,7 +174,7 @@ def config_file(tmp_path):
 
 def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
     out = finished_run / "out"
-    assert json.loads((out / "checkpoint" / "state.json").read_text())["step"] == 12
+    assert checkpoint_step(out / "checkpoint.pt") == 12
     rows = [json.loads(line) for line in (out / "losses.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == list(range(1, 13))
     keys = (*TERMS, "range", "gradient_norm", "seconds", "median_stretch_and_collision")
@@ -186,21 +192,6 @@ def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
     fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
     np.testing.assert_allclose(model.rest_normals, fitted, atol=0.01)
     assert np.abs(fitted - vertex_normals(garment.vertices, garment.faces)).max() > 0.02
-
-
-def test_ctrl_c_saves_an_exact_checkpoint(config_file, finished_run, tmp_path, monkeypatch, unfitted_normals):
-    """The step finishes; the run then goes on as if nothing had been."""
-    common = train_command(tmp_path)
-    with monkeypatch.context() as context:
-        context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=5))
-        assert main(common) == 130
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    checkpoint = tmp_path / "out" / "checkpoint"
-    assert json.loads((checkpoint / "state.json").read_text())["step"] == 5
-    assert main([*common, "--resume", str(checkpoint)]) == 0
-    first, second = (load_garment_model(folder / "out" / "band.safetensors") for folder in (finished_run, tmp_path))
-    for name, array in replace(first, rest_normals=second.rest_normals).arrays().items():
-        np.testing.assert_array_equal(array, second.arrays()[name], err_msg=name)
 
 
 def step_then(action, at):
@@ -234,20 +225,17 @@ def test_a_run_that_diverges_keeps_the_good_checkpoint(tmp_path, monkeypatch, wh
     with pytest.raises(TrainingDiverged, match="not finite at step 9") as diverged:
         trained_model(trainer, tmp_path / "out", tmp_path / "band.safetensors", checkpoint_every=every)
     assert ("start from it" in str(diverged.value)) == bool(kept)
-    state = tmp_path / "out" / "checkpoint" / "state.json"
-    assert (json.loads(state.read_text())["step"] if state.exists() else None) == kept
+    assert checkpoint_step(tmp_path / "out" / "checkpoint.pt") == kept
     assert not list(tmp_path.glob("*.safetensors"))
 
 
-def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, unfitted_normals):
-    config = tmp_path / "second.toml"
-    config.write_text(as_toml(replace(small_config(tmp_path, steps=2), seed=6)))
-    started = ["--start-from", str(finished_run / "out" / "checkpoint")]
-    assert main(train_command(tmp_path, *started, config="second.toml")) == 0
-    training = load_garment_model(tmp_path / "out" / "band.safetensors").training
-    told = load_garment_model(finished_run / "out" / "band.safetensors").training
-    assert training["seed"] == 6
-    assert training["started_from"]["seed"] == 5 and training["started_from"]["step"] == told["step"]
+def test_the_model_says_what_it_was_started_from(finished_run, tmp_path):
+    trainer = Trainer(replace(small_config(tmp_path), seed=6), CPU)
+    trainer.start_from(finished_run / "out" / "checkpoint.pt")
+    training = best_model(trainer).training
+    assert training["seed"] == 6 and training["started_from"]["seed"] == 5
+    first = load_garment_model(finished_run / "out" / "band.safetensors").training
+    assert training["started_from"]["step"] == first["step"]
 
 
 def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkeypatch, unfitted_normals):
@@ -269,16 +257,14 @@ def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkey
     assert finished == [0, 1, 2, 3] and set(written) == {("shown.safetensors", 3)}
 
 
-def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path, unfitted_normals):
+def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path):
     model = load_garment_model(finished_run / "out" / "band.safetensors")
     modulation = len(model.hyper_modulator["output.bias"])
     sizes = {"joints": 12, "states": OSCILLATORS, "widths": (HIDDEN, READ, LAST), "code": 12}
     given = np.random.default_rng(0), len(model.rig.dofs), len(model.node_rest)
     sway = random_sway_network(*given, modulation=modulation, **sizes)
-    save_garment_model(replace(model, sway=sway), tmp_path / "swaying.safetensors")
-    start = load_garment_model(tmp_path / "swaying.safetensors")
-    config = replace(small_config(tmp_path, steps=2), start=tmp_path / "swaying.safetensors")
-    kept = trained_model(Trainer(config, CPU), tmp_path / "out", tmp_path / "band.safetensors").sway
+    start = replace(model, sway=sway)
+    kept = best_model(Trainer(small_config(tmp_path), CPU, start=start)).sway
     assert all(np.array_equal(ours, theirs) for ours, theirs in zip(kept.rates, start.sway.rates))
     assert kept.code_directions.shape == start.sway.code_directions.shape
 
@@ -344,8 +330,10 @@ def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):
         Trainer(config, CPU).choose_steps(0.001)
 
 
-def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkeypatch, unfitted_normals):
-    """The rate is not measured again: another one would be another schedule."""
+def test_a_run_that_ctrl_c_ends_is_resumed_with_the_steps_that_were_chosen(
+    tmp_path, capsys, monkeypatch, unfitted_normals
+):
+    """The running step is finished and saved. The rate is not measured again: another one would be another schedule."""
 
     def choose(trainer, seconds):
         assert seconds == pytest.approx(6.0)
@@ -359,8 +347,10 @@ def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkey
         context.setattr(Trainer, "choose_steps", choose)
         context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=2))
         assert main(command) == 130
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert checkpoint_step(tmp_path / "out" / "checkpoint.pt") == 2
     monkeypatch.setattr(Trainer, "choose_steps", None)
-    resumed = ["--resume", str(tmp_path / "out" / "checkpoint")]
+    resumed = ["--resume", str(tmp_path / "out" / "checkpoint.pt")]
     assert main([*command, *resumed]) == 0
     rows = [json.loads(line) for line in (tmp_path / "out" / "losses.jsonl").read_text().splitlines()]
     assert rows[-1]["step"] == 7

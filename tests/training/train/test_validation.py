@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from training.small_runs import small_config
+from training.small_runs import run, small_config
 
 from physkin_core import load_body_model
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
@@ -16,7 +16,7 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import PosedBodies
-from physkin_training.train.run import trained_model
+from physkin_training.train.run import best_model
 from physkin_training.train.trainer import Trainer
 from physkin_training.train.validation import Validation
 
@@ -67,7 +67,6 @@ def test_the_energy_is_the_mean_over_the_set(trainer):
     assert validation.energy(drape) == pytest.approx((light + heights).mean().item(), rel=1e-5)
     assert validation.made_to_measure == pytest.approx((light + heights)[1].mean().item(), rel=1e-5)
     assert validation.strained == pytest.approx(light.mean().item(), rel=1e-5)
-    assert validation.mean_energy(drape) == pytest.approx(strained.mean().item(), rel=1e-5)
 
 
 def test_poses_are_drawn_from_the_full_range(trainer):
@@ -129,7 +128,7 @@ def test_the_best_waits_for_the_influences_of_engines(tmp_path, monkeypatch):
     assert best == [None] * 7 + [8, 9, 10, 11, 12]
 
 
-def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
+def test_the_export_is_the_best_model(tmp_path, monkeypatch):
     """Of two measurements, the first one is better."""
     config = small_config(tmp_path, steps=4, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=2)
     averages = []
@@ -140,7 +139,9 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
         return float(len(averages))
 
     monkeypatch.setattr(Validation, "energy", energy)
-    model = trained_model(Trainer(config, CPU), tmp_path, tmp_path / "band.safetensors")
+    trainer = Trainer(config, CPU)
+    run(trainer, 4)
+    model = best_model(trainer)
     assert model.training["step"] == 2 and model.training["validation_energy_j"] == 1.0
     assert model.bending_octaves == BENDING_OCTAVES
     exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -35,9 +34,7 @@ def train_garment(job: Job, device: str) -> Status:
     resumed_at = [*status.resumed_at, checkpoint_step(job.folder / CHECKPOINT)] if resumes else []
     status = replace(status, state="training", reason="", starts=status.starts + 1, resumed_at=resumed_at)
     if not resumes:  # of another mesh or other settings, perhaps
-        for ending in ("", ".previous", ".partial"):
-            shutil.rmtree(job.folder / f"{CHECKPOINT}{ending}", ignore_errors=True)
-        for name in (PICTURE, FIRST, PLACEMENT, "losses.jsonl"):
+        for name in (CHECKPOINT, PICTURE, FIRST, PLACEMENT, "losses.jsonl"):
             (job.folder / name).unlink(missing_ok=True)
     write_status(job, status)
     _print_into(job.folder / LOG)

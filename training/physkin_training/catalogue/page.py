@@ -88,14 +88,9 @@ def _picture(job: Job) -> str:
 
 
 def _on_avatar(check: dict) -> str:
-    everyday, rest = check["everyday"], check["rest"]
-    return _lines(
-        [
-            f"edges {everyday['edge_strain_percent']:.1f} %",
-            f"inside {everyday['inside_percent']:.2f} %, {everyday['deepest_mm']:.0f} mm deep",
-            f"inside at rest {rest['inside_percent']:.2f} %",
-        ]
-    )
+    inside = "inside {inside_percent:.2f} %, {deepest_mm:.0f} mm deep".format(**check["everyday"])
+    edges = "edges {edge_strain_percent:.1f} %".format(**check["everyday"])
+    return _lines([edges, inside, "inside at rest {inside_percent:.2f} %".format(**check["rest"])])
 
 
 def _held_out(figures: dict) -> str:

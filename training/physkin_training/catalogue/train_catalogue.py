@@ -24,7 +24,7 @@ from physkin_training.catalogue.plan import (
 )
 from physkin_training.fit_garment.settings import FitSettings, add_fit_options
 
-__all__ = ["main", "train_catalogue"]
+__all__ = ["command_parser", "main", "train_catalogue"]
 
 PAGE = "catalogue.html"
 PAGE_EVERY = 15
@@ -35,7 +35,7 @@ LOOK_EVERY = 2.0
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; 1 when a garment failed. Raises ValueError or OSError for bad input, KeyboardInterrupt
     for Ctrl-C."""
-    options = _command_parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     if options.cpus < 1:
         raise CatalogueError(f"--cpus {options.cpus} must be at least 1")
     if options.output.exists() and not options.output.is_dir():
@@ -108,7 +108,7 @@ def _share(job: Job) -> float:
     return taken[0] / taken[1] if status and taken else 0.0
 
 
-def _command_parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin train-catalogue", description=__doc__.split("`: ", 1)[1])
     parser.add_argument(
         "folder", type=Path, metavar="FOLDER", help="garment meshes and patterns; NAME.toml beside one is its recipe"

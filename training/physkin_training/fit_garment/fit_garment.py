@@ -23,10 +23,10 @@ from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.model.model_file import save_garment_model
 from physkin_core.outfit.outfit_options import print_warnings
 from physkin_core.picture import PictureError, save_png
-from physkin_training.config import TrainingConfig, as_toml, load_config
+from physkin_training.config import as_toml, load_config
 from physkin_training.devices import DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.first_model import chosen_start, first_look, first_model, folds_verdict
@@ -54,7 +54,17 @@ from physkin_training.train.fitted_weights import fitted_weights
 from physkin_training.train.run import CHECKPOINT, trained_model
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["CONFIG", "FIRST", "PLACEMENT", "FittedGarment", "GarmentRefused", "fit_garment", "log_progress", "main"]
+__all__ = [
+    "CONFIG",
+    "FIRST",
+    "PLACEMENT",
+    "FittedGarment",
+    "GarmentRefused",
+    "command_parser",
+    "fit_garment",
+    "log_progress",
+    "main",
+]
 
 log = logging.getLogger(__name__)
 LEAST_TRAINING = 3.0
@@ -88,7 +98,7 @@ class FittedGarment:
 def main(argv: list[str] | None = None) -> int:
     """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails. Raises
     ValueError or OSError for bad input, KeyboardInterrupt for Ctrl-C."""
-    options = _command_parser().parse_args(argv)
+    options = command_parser().parse_args(argv)
     log_progress()
     try:
         fitted = fit_garment(options.garment, options.output, FitSettings.of(options))
@@ -106,7 +116,7 @@ def log_progress() -> None:
     logging.getLogger("physkin_training").setLevel(logging.INFO)
 
 
-def _command_parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
     description = "Check, repair and train a garment mesh or a sewing pattern of your own, and write a report."
     parser = argparse.ArgumentParser(prog="physkin fit-garment", description=description)
     parser.add_argument(
@@ -185,28 +195,17 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
         folds = folds_verdict(checked.garment, model)
         print(f"{folds.check}: {folds.found}")
         checked = replace(checked.moved(model.garment.vertices), verdicts=(*checked.verdicts, folds))
-    resumed = settings.resume and (folder / CONFIG).exists() and checkpoint_step(folder / CHECKPOINT) is not None
-    if resumed:
-        config = load_config(folder / CONFIG)
-        start = load_garment_model(config.start) if config.start else None
-    else:
-        if likeness is not None:
-            model = fitted_weights(model, body_model, device)
-        config = _configuration(settings, model, _write_mesh(folder, checked), output.stem, device, budget)
-        start = model if config.start else None
-        if start:
-            save_garment_model(start, config.start)
-        _show_first(model, output, folder / FIRST, avatar, body_model)
-    sways = learns_sway(start, model, device, seconds=budget.seconds)
-    after = SIMULATING + LEARNING if sways else 0.0
-    trainer = Trainer(config, device, garment=checked.garment, start=start)
     record = TrainingRecord(folder / "losses.jsonl")
-    if resumed:
-        trainer.resume(folder / CHECKPOINT)
-        earlier, budget = record.seconds, TimeBudget()
-    else:
+    trainer = _resumed(checked, folder, device) if settings.resume else None
+    resumed = trainer is not None
+    if not resumed:
         record.path.unlink(missing_ok=True)
-        earlier = 0.0
+        trainer = _begun(settings, checked, model, output, device, budget, avatar)
+    start, earlier = trainer.start, record.seconds
+    after = SIMULATING + LEARNING if learns_sway(start, model, device, seconds=budget.seconds) else 0.0
+    if resumed:
+        budget = TimeBudget()
+    else:
         if not settings.steps:
             plan_steps(trainer, budget, after=after)
         (folder / CONFIG).write_text(as_toml(trainer.config))
@@ -216,7 +215,7 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
     trained = trained_model(trainer, folder, output, within=within, checkpoint_every=often, shown=True)
     del trainer  # the report needs its memory
     seconds, sway = earlier + budget.spent - began, ""
-    if sways:
+    if after:
         within = max(seconds_for_training(budget, LEARNING), SIMULATING)
         trained, sway = with_own_sway(trained, device, within=within)
         print(sway)
@@ -279,35 +278,53 @@ def _write_mesh(folder: Path, checked: CheckedGarment) -> Path:
     return path
 
 
-def _configuration(
-    settings: FitSettings, model: GarmentModel, mesh: Path, name: str, device: torch.device, budget: TimeBudget
-) -> TrainingConfig:
-    """Of a new run: the recipe, with as many steps as were asked for. model: the first one, which training begins with
-    where that has the sizes of the recipe."""
+def _resumed(checked: CheckedGarment, folder: Path, device: torch.device) -> Trainer | None:
+    """A trainer that goes on from what a stopped run left in its folder; None where there is nothing."""
+    checkpoint, configuration = folder / CHECKPOINT, folder / CONFIG
+    if not configuration.exists() or checkpoint_step(checkpoint) is None:
+        return None
+    trainer = Trainer(load_config(configuration), device, garment=checked.garment)
+    trainer.resume(checkpoint)
+    return trainer
+
+
+def _begun(
+    settings: FitSettings,
+    checked: CheckedGarment,
+    model: GarmentModel,
+    output: Path,
+    device: torch.device,
+    budget: TimeBudget,
+    avatar: Avatar,
+) -> Trainer:
+    """A trainer before its first step. What can be worn before training is written as `output`, and what a run is
+    resumed with into the folder. model: the first one, which training begins with where it has the recipe's sizes."""
+    folder, body_model, name = output.with_suffix(""), load_body_model(), output.stem
+    mesh = _write_mesh(folder, checked)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
     if settings.recipe:
         recipe = load_config(settings.recipe, name=name, garment=mesh)
     else:
         recipe = default_recipe(name, mesh, device, seconds=budget.seconds)
+    start = None
     if "transferred_from" in model.training:
+        model = fitted_weights(model, body_model, device)
         if has_sizes_of(recipe, model):
-            recipe = started_from(recipe, mesh.with_name(START))
+            start, recipe = model, started_from(recipe, folder / START)
+            save_garment_model(start, recipe.start)
         else:
             log.warning("training begins with nothing: %s has other sizes than %s", settings.recipe, model.name)
-    if not settings.steps:
-        return recipe
-    return replace(recipe, optimisation=replace(recipe.optimisation, steps=settings.steps))
-
-
-def _show_first(model: GarmentModel, output: Path, picture: Path, avatar: Avatar, body_model: BodyModel) -> None:
-    """Write what can be worn before training, and a picture of it; says how good it is."""
     save_garment_model(model, output)
     look = first_look(model, avatar, body_model)
     print(f"wrote {output}, to be worn while it trains: {look}")
     try:
-        save_png(picture, in_motion(look.draper))
-        print(f"wrote {picture}")
+        save_png(folder / FIRST, in_motion(look.draper))
+        print(f"wrote {folder / FIRST}")
     except PictureError as error:
         print(f"no picture: {error}")
+    if settings.steps:
+        recipe = replace(recipe, optimisation=replace(recipe.optimisation, steps=settings.steps))
+    return Trainer(recipe, device, garment=checked.garment, start=start)
 
 
 if __name__ == "__main__":

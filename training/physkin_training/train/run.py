@@ -15,14 +15,15 @@ from physkin_core.model.model_file import save_garment_model
 from physkin_training.networks.export import ExportError, model_from_drape, store_checked
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.rounding.rounded_model import rounded_model
+from physkin_training.train.checkpoint import CHECKPOINT_SUFFIX
 from physkin_training.train.run_reports import RunReports
 from physkin_training.train.trainer import Trainer, TrainingDiverged
 from physkin_training.transfer.sway_transfer import transferred_sway
 
-__all__ = ["CHECKPOINT", "CHECKPOINT_EVERY", "export", "trained_model"]
+__all__ = ["CHECKPOINT", "CHECKPOINT_EVERY", "best_model", "export", "trained_model"]
 
 log = logging.getLogger(__name__)
-CHECKPOINT = "checkpoint"
+CHECKPOINT = f"checkpoint{CHECKPOINT_SUFFIX}"
 """In the run's folder."""
 CHECKPOINT_EVERY = 300.0
 """[s] From one checkpoint to the next, by default."""
@@ -57,7 +58,6 @@ def trained_model(
     Raises:
         KeyboardInterrupt: for Ctrl-C, after a checkpoint; for a second one, at once.
         TrainingDiverged: where energies are not finite; it says whether there is a checkpoint from before.
-        CheckpointError: where the checkpoint's folder holds other files.
         ExportError: where the model drapes otherwise than the networks it was made of.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def _take_steps(trainer: Trainer, folder: Path, within: float, checkpoint_every:
                 saved = time.perf_counter()
             better = trainer.best is not best and trainer.best.step > 0  # at 0 it is what is shown already
             if shown and better and time.perf_counter() - written > SHOWN_EVERY:
-                save_garment_model(_best_model(trainer), shown)
+                save_garment_model(best_model(trainer), shown)
                 best, written = trainer.best, time.perf_counter()
             if step % every == 0 or step == steps or trainer.settled:
                 reports.report()
@@ -130,7 +130,7 @@ def export(trainer: Trainer, path: Path, *, shown: bool = False) -> GarmentModel
     drape = trainer.best_drape()
     if best := trainer.best:
         log.info("the model is the one of step %d, with the lowest validation energy, %.4f J", best.step, best.energy)
-    model = _best_model(trainer)
+    model = best_model(trainer)
     if shown:
         save_garment_model(model, path)
         log.info("wrote %s as it was trained; now it is rounded, compared and measured", path)
@@ -142,7 +142,7 @@ def export(trainer: Trainer, path: Path, *, shown: bool = False) -> GarmentModel
     return store_checked(rounded_model(model, device=trainer.device, finely=True), drape, path)
 
 
-def _best_model(trainer: Trainer) -> GarmentModel:
+def best_model(trainer: Trainer) -> GarmentModel:
     """Of the run's best drape, with the mesh's normals, network weights as they are, and the sway of what it began
     with."""
     config, best, start = trainer.config, trainer.best, trainer.start

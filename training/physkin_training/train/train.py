@@ -33,7 +33,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--output", type=Path, required=True, help="folder for checkpoint, scalars and the model")
     start = parser.add_mutually_exclusive_group()
-    start.add_argument("--resume", type=Path, metavar="FOLDER", help="continue from the checkpoint in this folder")
+    start.add_argument("--resume", type=Path, metavar="FILE", help="continue from this checkpoint")
     start.add_argument(
         "--start-from", type=Path, metavar="PATH", help="start a new run from the networks of this checkpoint or model"
     )

@@ -37,7 +37,7 @@ from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.sampling.training_bodies import training_bodies
 from physkin_training.soap import TURN_EVERY, Soap
-from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
+from physkin_training.train.checkpoint import CHECKPOINT_SUFFIX, Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steps_within
@@ -228,18 +228,6 @@ class Trainer:
         mean, do not move it. Waits for the device."""
         return self._stretch_and_collision.median().item()
 
-    def average_energy(self) -> float:
-        """Mean energy [J] of the averaged drape, gravity left out, on the validation's bodies and poses. Waits for the
-        device.
-
-        Raises TrainingDiverged when it is not finite.
-        """
-        with self._recorded.beside():
-            energy = self.validation.mean_energy(self.averaged)
-        if not math.isfinite(energy):
-            raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
-        return energy
-
     @contextmanager
     def undone(self) -> Iterator[None]:
         """Everything is afterwards as it was before: for steps that are only timed, before the first one."""
@@ -269,12 +257,11 @@ class Trainer:
             raise TrainingDiverged(f"energies or gradients are not finite at step {self.step}")
         return sums[:-1].tolist()
 
-    def save(self, folder: Path) -> None:
-        """Write a checkpoint (see `physkin_training.train.checkpoint`). Raises TrainingDiverged and leaves `folder`
-        as it is when the run has diverged."""
+    def save(self, path: Path) -> None:
+        """Write a checkpoint. Raises TrainingDiverged and leaves `path` as it is when the run has diverged."""
         self._finite_sums()
         save_checkpoint(
-            folder,
+            path,
             self.drape,
             self.averaged,
             self.optimiser,
@@ -282,9 +269,9 @@ class Trainer:
             config=self.config,
         )
 
-    def resume(self, folder: Path) -> None:
+    def resume(self, path: Path) -> None:
         """Go on from a checkpoint of the same configuration, exactly as the run would have gone on."""
-        progress = load_checkpoint(folder, self.drape, self.averaged, self.optimiser, config=self.config)
+        progress = load_checkpoint(path, self.drape, self.averaged, self.optimiser, config=self.config)
         self.step = self._summed_from = progress.step
         self.best, self.started_from = progress.best, progress.started_from
 
@@ -293,10 +280,10 @@ class Trainer:
 
         Raises CheckpointError or ValueError when they do not fit this run.
         """
-        if path.is_file():
-            self.started_from = take_over_model(load_garment_model(path), self.drape)
-        else:
+        if path.suffix == CHECKPOINT_SUFFIX:
             self.started_from = load_drape(path, self.drape)
+        else:
+            self.started_from = take_over_model(load_garment_model(path), self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
 
     def _normalise_nodes(self) -> None:

@@ -9,7 +9,6 @@ Dimensions: `k` batches, `B` samples and `S` bodies of a batch, `n` garment vert
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,7 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.physics_losses import Energies, PhysicsLosses, lightened
+from physkin_training.physics.physics_losses import PhysicsLosses, lightened
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
@@ -100,39 +99,30 @@ class Validation:
             rest=rest,
         )
 
+    @torch.no_grad()
     def energy(self, drape: Drape) -> float:
         """Mean energy [J] over the poses, all but gravity `lightened`, at the material's full contact stiffness: about
         what training descends. The mean of the template and made to measure. Waits for the device."""
-        measured = self._means(drape, lambda each: (lightened(each.strained, HEAVY_ENERGY), each.gravity))
-        _, self.made_to_measure = measured.sum(dim=1).tolist()
-        self.strained, gravity = measured.mean(dim=0).tolist()
-        return self.strained + gravity
-
-    def mean_energy(self, drape: Drape) -> float:
-        """Mean energy [J] without gravity, heavy poses in full; otherwise as `energy`."""
-        return self._means(drape, lambda each: (each.strained,)).mean().item()
-
-    @torch.no_grad()
-    def _means(self, drape: Drape, parts: Callable[[Energies], tuple[torch.Tensor, ...]]) -> torch.Tensor:
-        """Means [J] over the set of parts of the energies, at the template and made to measure: (2, number of parts).
-        Contact grows linearly where it does in training."""
         means: list[list[torch.Tensor]] = [[], []]
         for batch, chosen in enumerate(self.chosen):
             positions, gravity = self.positions[batch], self.gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
-            for way, made in enumerate((False, True)):
+            for made in (False, True):
                 worn = self._fits.worn(body_index, torch.full_like(body_index, made, dtype=torch.bool))
                 self.losses.rest_row.copy_(worn.rows)
                 fit = torch.full(chosen.shape, float(made), device=chosen.device)
                 modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
-                vertices = drape(
-                    modulation, positions, gravity, drape.posed_nodes(bones, worn.node_positions), worn.rest
-                )
+                nodes = drape.posed_nodes(bones, worn.node_positions)
+                vertices = drape(modulation, positions, gravity, nodes, worn.rest)
                 _, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-                means[way].append(torch.stack([part.mean() for part in parts(energies)]))
-        return torch.stack([torch.stack(way).mean(dim=0) for way in means])
+                parts = lightened(energies.strained, HEAVY_ENERGY), energies.gravity
+                means[made].append(torch.stack([part.mean() for part in parts]))
+        measured = torch.stack([torch.stack(each).mean(dim=0) for each in means])
+        _, self.made_to_measure = measured.sum(dim=1).tolist()
+        self.strained, height = measured.mean(dim=0).tolist()
+        return self.strained + height
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""
