@@ -171,11 +171,12 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
 def test_a_command_in_a_hurry_times_no_steps(spent, steps):
     """On a GPU with a minute for all, a quarter of it for the report. A hundred steps are taken all the same."""
     watch = Watch()
-    trainer = SimpleNamespace(config=TrainingConfig("band", Path("band.obj")), device=torch.device("cuda"))
+    chosen = []
+    trainer = SimpleNamespace(device=torch.device("cuda"), set_steps=chosen.append)
     budget = TimeBudget(1, clock=watch)
     watch.now = spent
     training_time.plan_steps(trainer, budget)
-    assert trainer.config.optimisation.steps == steps
+    assert chosen == [steps]
 
 
 @pytest.fixture
@@ -237,7 +238,7 @@ def scores_of_one_pose():
     return scores
 
 
-@pytest.mark.parametrize(("left", "measured"), [(1e6, [2, 64]), (31, [2, 60]), (1.5, [2]), (-10, [2])])
+@pytest.mark.parametrize(("left", "measured"), [(31, [2, 60]), (-10, [2])])
 def test_as_many_poses_are_measured_as_there_is_time_for(
     left, measured, write_vest, scores_of_one_pose, monkeypatch, no_pictures
 ):

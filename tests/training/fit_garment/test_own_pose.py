@@ -116,9 +116,7 @@ def own(avatar_file):
     [
         ("longsleeve", 1.0, np.eye(3), "metres, Z up, X forward"),
         ("skirt", 0.01, Y_UP, "centimetres, Y up, Z forward"),
-        ("tshirt", 1.0, Y_UP, "metres, Y up, Z forward"),
         ("trousers", 0.01, np.eye(3), "centimetres, Z up, X forward"),
-        ("dress", 1.0, np.eye(3), "metres, Z up, X forward"),
     ],
 )
 def test_a_garment_is_where_it_lies(name, scale, axes, read, person, own, template):
@@ -196,7 +194,7 @@ def a_patch_gone(v, f):
     return v, f[away > np.quantile(away, 0.1)]
 
 
-@pytest.mark.parametrize("name", ["tshirt", "longsleeve", "dress", "trousers", "skirt"])
+@pytest.mark.parametrize("name", ["tshirt", "dress", "trousers", "skirt", "circleskirt"])
 def test_upside_down_is_refused(name, template):
     """Where it is put on all the same, as without an avatar."""
     garment = load_garment(GARMENTS / f"{name}.obj")

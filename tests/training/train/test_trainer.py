@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -311,23 +312,22 @@ def test_errors_of_the_command_are_one_line(config_file, tmp_path, capsys, spoil
     assert not (tmp_path / "out").exists()
 
 
-def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):
-    """Steps at the late settings prune, draw and move moments; a run after them is bit for bit the one without."""
-    config = small_config(tmp_path, full_encoding=1.0, validate_every=12)
-    plain = Trainer(config, CPU)
-    run(plain, 12)
-    trainer = Trainer(config, CPU)
-    rate = trainer.choose_steps(20.0)
-    assert 0 < trainer.config.optimisation.steps <= 20.0 * rate
-    trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=12))
-    run(trainer, 12)
-    for (name, expected), tensor in zip(plain.drape.state_dict().items(), trainer.drape.state_dict().values()):
-        assert torch.equal(tensor, expected), name
-    assert trainer.best.energy == plain.best.energy
-    with pytest.raises(ValueError, match="not after 12"):
+def test_the_number_of_steps_is_chosen_by_timing_the_first(tmp_path, monkeypatch):
+    """They count: of a second each, in 60 s three are for warming up and three are timed, over 2 s or a little more."""
+    now = [0.0]
+
+    def take_step(_):
+        now[0] += 1.0
+
+    monkeypatch.setattr(Trainer, "take_step", take_step)
+    trainer = Trainer(small_config(tmp_path, full_encoding=1.0), CPU)
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    assert trainer.choose_steps(60.0) == pytest.approx(1.0)
+    assert trainer.step == 6 and trainer.config.optimisation.steps == 60
+    with pytest.raises(ValueError, match="not after 6"):
         trainer.choose_steps(3.0)
     with pytest.raises(ValueError, match="too short for a run of 10 steps"):
-        Trainer(config, CPU).choose_steps(0.001)
+        Trainer(small_config(tmp_path), CPU).choose_steps(0.001)
 
 
 def test_a_run_that_ctrl_c_ends_is_resumed_with_the_steps_that_were_chosen(
@@ -337,7 +337,7 @@ def test_a_run_that_ctrl_c_ends_is_resumed_with_the_steps_that_were_chosen(
 
     def choose(trainer, seconds):
         assert seconds == pytest.approx(6.0)
-        trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=7))
+        trainer.set_steps(7)
         return 1.0
 
     text = as_toml(small_config(tmp_path)).splitlines()

@@ -17,6 +17,7 @@ from trimesh.graph import connected_component_labels
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.rest_shape import flat_areas, flat_edges, panels_of_texture, side_lengths
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = ["check_rest_shape", "creases_along", "laid_out"]
@@ -120,7 +121,7 @@ def laid_out(places: np.ndarray, panel_faces: np.ndarray, wanted: np.ndarray) ->
 def creases_along(vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """Edges (c, 2) of a mesh that run along line elements, whose ends are at `lines` (k, 2, 3); each line may be many
     edges long."""
-    edges = np.unique(np.sort(faces_to_edges(faces), axis=1), axis=0)
+    edges, _ = mesh_edges(faces)
     tree, along = cKDTree(vertices[edges].mean(axis=1)), np.zeros(len(edges), dtype=bool)
     for start, end in lines:
         length = np.linalg.norm(end - start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
 
 from physkin_training.fit_garment.recipe import STEPS_A_SECOND, in_a_hurry
 from physkin_training.time_budget import TimeBudget
@@ -31,7 +30,7 @@ def seconds_for_training(budget: TimeBudget, after: float) -> float:
 
 
 def plan_steps(trainer: Trainer, budget: TimeBudget, *, after: float = 0.0) -> None:
-    """Set the steps of a trainer's run to as many as there is time for, which are timed for it. A command in a hurry
+    """Set the steps of a trainer's run to as many as there is time for: its first ones are timed. A command in a hurry
     times none: it plans for `STEPS_A_SECOND`, and training leaves out what there is no time for.
 
     after: as of `seconds_for_training`. Raises ValueError when there are too few to learn anything.
@@ -39,7 +38,7 @@ def plan_steps(trainer: Trainer, budget: TimeBudget, *, after: float = 0.0) -> N
     seconds, minutes = seconds_for_training(budget, after), f"{budget.seconds / 60:g} minutes in all"
     if in_a_hurry(trainer.device, budget.seconds):
         steps = max(FEWEST_STEPS, int(STEPS_A_SECOND * seconds))
-        trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=steps))
+        trainer.set_steps(steps)
         log.info("%.0f s are left for training: %d steps, or as many as that time allows", max(seconds, 0.0), steps)
         return
     if seconds <= 0:

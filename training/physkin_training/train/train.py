@@ -51,17 +51,19 @@ def main(argv: list[str] | None = None) -> int:
     KeyboardInterrupt for Ctrl-C."""
     arguments = command_parser().parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    trainer = _trainer(arguments)
+    trainer, within = _trainer(arguments)
+    output = arguments.output / f"{trainer.config.name}.safetensors"
     try:
-        trained_model(trainer, arguments.output, arguments.output / f"{trainer.config.name}.safetensors")
+        trained_model(trainer, arguments.output, output, within=within)
     except (TrainingDiverged, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def _trainer(arguments: argparse.Namespace) -> Trainer:
-    """As the options say, at the first step of the run or where it goes on. Raises ValueError."""
+def _trainer(arguments: argparse.Namespace) -> tuple[Trainer, float]:
+    """As the options say, at the first steps of the run or where it goes on, and the seconds that it has from there.
+    Raises ValueError."""
     garment, minutes = arguments.garment, arguments.minutes
     config = load_config(arguments.config, name=garment and garment.stem, garment=garment)
     if minutes and arguments.resume:
@@ -72,13 +74,14 @@ def _trainer(arguments: argparse.Namespace) -> Trainer:
         log.info("%s rests as the flat panels of its texture coordinates, %.3f m2", config.garment.name, area)
     if arguments.resume:
         trainer.resume(arguments.resume)
-        return trainer
+        return trainer, math.inf
     if arguments.start_from:
         trainer.start_from(arguments.start_from)
-    if minutes:
-        rate = trainer.choose_steps(60 * minutes)
-        log.info("%.1f steps a second: %d steps in %g minutes", rate, trainer.config.optimisation.steps, minutes)
-    return trainer
+    if not minutes:
+        return trainer, math.inf
+    rate = trainer.choose_steps(60 * minutes)
+    log.info("%.1f steps a second: %d steps in %g minutes", rate, trainer.config.optimisation.steps, minutes)
+    return trainer, 60 * minutes - trainer.step / rate
 
 
 def _minutes(text: str) -> float:

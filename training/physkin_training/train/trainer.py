@@ -10,10 +10,9 @@ Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 from __future__ import annotations
 
 import copy
-import itertools
 import math
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,11 +35,11 @@ from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.sampling.training_bodies import training_bodies
-from physkin_training.soap import TURN_EVERY, Soap
+from physkin_training.soap import Soap
 from physkin_training.train.checkpoint import CHECKPOINT_SUFFIX, Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
-from physkin_training.train.step_rate import steps_within
+from physkin_training.train.step_rate import steady_rate
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
 from physkin_training.transfer.warm_start import take_over_model
 
@@ -52,6 +51,8 @@ ENGINE_SHARE = 1 / 8
 """Share of a body's poses that are skinned by the weights for engines; one at least."""
 LARGEST_GRADIENT = 10.0
 """Longer gradients are shortened to this norm."""
+LONG_RUN, FEWEST_STEPS = 100_000, 10
+"""Steps of a run while its first ones are timed, which then hardly learn; and fewest steps after them."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -163,35 +164,26 @@ class Trainer:
             yield self.step
 
     def choose_steps(self, seconds: float) -> float:
-        """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
+        """Set the run's steps so that it takes `seconds` from now on. Returns the rate [steps/s].
 
-        Steps at the settings of late training, and of its end, are done and timed, and then undone. Raises ValueError
-        when the run has begun, or the time is too short for any.
+        Its first steps are timed; they count. Raises ValueError when the run has begun, or the time is too short.
         """
         if self.step:
             raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
-        with self.undone():
-            steps, rate = steps_within(
-                seconds,
-                self.take_steps,
-                full_encoding=self.config.optimisation.full_encoding,
-                device=self.device,
+        began = time.perf_counter()
+        self.set_steps(LONG_RUN)
+        rate = steady_rate(self.run(LONG_RUN), seconds, self.device)
+        left = int(rate * (seconds - (time.perf_counter() - began)))
+        if left < FEWEST_STEPS:
+            raise ValueError(
+                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
             )
-        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
+        self.set_steps(self.step + left)
         return rate
 
-    def take_steps(self, progress: float, parts: int) -> Iterator[int]:
-        """Steps without end at `progress` (0 to 1) of a run of `parts` steps, of which nothing is learnt: yields their
-        number. For use within `undone`."""
-        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=parts))
-        self.step = math.ceil(progress * parts)
-        self._set_schedules()
-        for group in self.optimiser.param_groups:
-            group["lr"].zero_()
-        for done in itertools.count(TURN_EVERY + 1):
-            self._recorded()
-            self.optimiser.turn_bases(done)
-            yield done
+    def set_steps(self, steps: int) -> None:
+        """Change how many steps the run takes in all; schedules stretch with it."""
+        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
 
     @property
     def settled(self) -> bool:
@@ -227,27 +219,6 @@ class Trainer:
         """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
         mean, do not move it. Waits for the device."""
         return self._stretch_and_collision.median().item()
-
-    @contextmanager
-    def undone(self) -> Iterator[None]:
-        """Everything is afterwards as it was before: for steps that are only timed, before the first one."""
-        drapes = self.drape, self.averaged
-        states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
-        on_gpu = self.device.type == "cuda"
-        random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
-        config, step, schedule = self.config, self.step, self.schedule
-        yield
-        self._recorded.forget()
-        self.config, self.step, self.schedule = config, step, schedule
-        for drape, state in zip(drapes, states):
-            drape.load_state_dict(state)
-        self.optimiser.zero_grad()
-        self.optimiser.reset()
-        for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
-            tensor.zero_()
-        torch.set_rng_state(random[0])
-        if on_gpu:
-            torch.cuda.set_rng_state(random[1], self.device)
 
     def _finite_sums(self) -> list[float]:
         """The summed energies [J]. Raises TrainingDiverged when energies since the last report or the last gradient are
