@@ -29,7 +29,7 @@ __all__ = ["CheckedGarment", "check_garment", "write_garment"]
 class CheckedGarment:
     """A garment mesh after the checks, vertices (n, 3) [m] on the training template's body, and all verdicts.
 
-    lying: (n, 3) [m], the same vertices on the body it was made on, before they were carried anywhere; in_own_pose:
+    lying: (n, 3) [m], the same vertices on the body it was made on, before they were moved anywhere; in_own_pose:
     that body is held as in its file, otherwise as in the canonical pose. look: what else the file had, its texture
     places being the flat panels where there are any. creases: (c, 2) edges.
     """
@@ -74,7 +74,7 @@ def check_garment(
     """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
-    template: the training template's garment body; a garment made on another body is carried over to it.
+    template: the training template's garment body; a garment made on another body is moved over to it.
     accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
     the garment stays where it lies.
 

@@ -27,7 +27,7 @@ def placement_picture(
 ) -> np.ndarray:
     """Front and back, (h, w, 3) uint8: on the avatar as the garment lies there, below on the template as it is trained.
 
-    template: None for a garment whose place is in doubt, which was not carried there. own: the avatar in its own pose,
+    template: None for a garment whose place is in doubt, which was not moved there. own: the avatar in its own pose,
     None where no avatar was given; one of the two is there. Raises PictureError without the [view] extra.
     """
     images, captions = [], []

@@ -35,7 +35,7 @@ WEAK_TIE = 1e-9
 def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.ndarray) -> Look:
     """Flat panels; the look, with these where they had to be graded.
 
-    lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was carried to another body, if it was.
+    lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was moved to another body, if it was.
     """
     allowed = (
         "texture coordinates in metres, as large as the mesh (0.8 to 1.25 times), are flat panels; others are a look"
@@ -45,7 +45,7 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         return panels_of_texture(vertices, checks.faces, face_areas(vertices, checks.faces), uv)
 
     def dropped(why: str) -> Look:
-        """Of a mesh that was carried to another body: there they may look like panels by accident."""
+        """Of a mesh that was moved to another body: there they may look like panels by accident."""
         found = f"dropped, and the texture coordinates with it: {why}"
         checks.say("flat rest shape", "warning", found, allowed)
         return replace(look, uv=np.full_like(look.uv, np.nan))

@@ -196,7 +196,7 @@ def check_overlap(checks: Checks, avatar: Avatar, surface: BodySurface) -> None:
 
 def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPose | None) -> None:
     """Out of the avatar's own pose into the canonical one. own: None for a garment that is in that one."""
-    allowed = "the avatar's own pose, or the canonical A-pose; carried into that with the avatar's skeleton"
+    allowed = "the avatar's own pose, or the canonical A-pose; moved into that with the avatar's skeleton"
     if own is None:
         return checks.say("pose", "ok", "the canonical pose", allowed)
     lying = Garment(checks.vertices, checks.faces)
@@ -204,7 +204,7 @@ def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPos
     far = float(np.linalg.norm(checks.vertices - lying.vertices, axis=1).max())
     if far < SAME_PLACE:
         return checks.say("pose", "ok", "the canonical pose", allowed)
-    found = f"carried out of the avatar's own pose, by up to {100 * far:.1f} cm"
+    found = f"moved out of the avatar's own pose, by up to {100 * far:.1f} cm"
     strain = _edge_change(lying, lying.reshaped(checks.vertices))
     if strain > SAME_SHAPE:
         checks.vertices = clear_of(lying, avatar, surface, start=checks.vertices, iterations=RELAXING)
@@ -216,13 +216,13 @@ def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPos
 
 def check_body(checks: Checks, avatar: Avatar, template: Avatar) -> None:
     """Made on another body than the training template."""
-    allowed = "made on the training template's body; carried over from another one"
+    allowed = "made on the training template's body; moved over from another one"
     apart = float(np.linalg.norm(avatar.bone_heads - template.bone_heads, axis=1).max())
     surface = BodySurface(template.vertices, template.faces)
     if apart <= SAME_BODY and np.abs(surface.closest(avatar.vertices).distance).max() <= SAME_BODY:
         return checks.say("body", "ok", "the template's own", allowed)
     checks.vertices = onto_body(checks.vertices, avatar, template)
-    found = f"another body, joints up to {100 * apart:.0f} cm from the template's; carried over bone by bone"
+    found = f"another body, joints up to {100 * apart:.0f} cm from the template's; moved over bone by bone"
     if surface.closest(checks.vertices).distance.min() < CLEARANCE:
         _push_out(checks, "body", template, surface, f"{found} and pushed out of it", allowed)
     else:
