@@ -39,7 +39,6 @@ def shop(tmp_path):
     ("arguments", "said"),
     [
         (["{tmp}/nosuch"], "nosuch is not a folder of garment meshes"),
-        (["{tmp}"], "belongs to no garment"),
         (["{tmp}/shop", "--steps", "0"], "--steps 0 must be at least 1"),
         (["{tmp}/shop", "--minutes", "inf"], "--minutes inf must be above 0 and finite"),
         (["{tmp}/shop", "--cpus", "0"], "--cpus 0 must be at least 1"),
@@ -48,8 +47,6 @@ def shop(tmp_path):
 )
 def test_refusals(arguments, said, shop, tmp_path, capsys):
     """One sentence, before a cluster is asked for."""
-    if said == "belongs to no garment":
-        write_belly_band(tmp_path / "band.obj")
     given = [argument.format(tmp=tmp_path) for argument in arguments]
     assert main(["train-catalogue", "-o", str(tmp_path / "models"), *given]) == 2
     error = capsys.readouterr().err

@@ -59,7 +59,6 @@ $pictures
 $figures
 <h2>Training</h2>
 $curve""")
-SITS = Template("<h2>On your avatar</h2><p>$said.</p>")
 RULER = set("|:-")
 """Of which the second line of a Markdown table is made."""
 
@@ -98,6 +97,10 @@ def write_report(
     more = int(min(poses, few * budget.left / taken))
     if more > few:
         scores = evaluate(more)
+    how_it_sits = ""
+    if worn is not None:
+        found = html.escape(str(check_garment(worn.layer, worn.avatar)))
+        how_it_sits = f"<h2>On your avatar</h2><p>{found}.</p>"
     optimisation = model.training["optimisation"]
     undertrained = record.undertrained(scores, begun="started_from" in model.training)
     body = BODY.substitute(
@@ -112,9 +115,7 @@ def write_report(
         undertrained=f"<p>{badge('undertrained', 'warning')} {html.escape(undertrained)}</p>" if undertrained else "",
         in_short=_in_short(scores, model, record, sway),
         verdicts=_verdicts(checked),
-        how_it_sits=""
-        if worn is None
-        else SITS.substitute(said=html.escape(str(check_garment(worn.layer, worn.avatar)))),
+        how_it_sits=how_it_sits,
         pictures=pictures,
         counts="{bodies} held-out bodies, {poses} poses each".format(**scores["counts"]),
         figures=html_table(table(scores)),
