@@ -29,12 +29,16 @@ def sewn_band(*, columns: int = 32, rings: int = 17) -> Garment:
 
 
 def rewritten(path, avatar, template) -> tuple[Garment, str, str]:
-    """What training reads of a mesh that was checked, and the outcome and words of the verdict."""
+    """What is read again of a mesh that was checked, and the outcome and words of the verdict. It is exactly what
+    training began with, so that a run can be resumed."""
     checked = check_garment(read_mesh(path), avatar, template)
     assert not checked.refused, checked.verdicts[-1]
     write_garment(path.with_name("garment.obj"), checked)
     (verdict,) = [each for each in checked.verdicts if each.check == "flat rest shape"]
-    return load_garment(path.with_name("garment.obj")), verdict.outcome, verdict.found
+    again = load_garment(path.with_name("garment.obj"))
+    for name in ("vertices", "faces", "creases", "panel_places", "panel_faces"):
+        np.testing.assert_array_equal(getattr(checked.garment, name), getattr(again, name), err_msg=name)
+    return again, verdict.outcome, verdict.found
 
 
 def test_panels_and_creases_are_kept_through_repairs(template, tmp_path):
