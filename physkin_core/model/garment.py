@@ -27,7 +27,15 @@ from physkin_core.model.rest_shape import (
     turned_edges,
 )
 
-__all__ = ["Garment", "GarmentError", "face_areas", "load_garment", "surface_fault", "vertex_normals"]
+__all__ = [
+    "Garment",
+    "GarmentError",
+    "face_areas",
+    "garment_of_mesh",
+    "load_garment",
+    "surface_fault",
+    "vertex_normals",
+]
 
 PLACE_STEP = 2.0**-18
 """[m] What the file holds whole multiples of: places are kept to 2 µm."""
@@ -248,19 +256,43 @@ def load_garment(path: str | Path) -> Garment:
     with reading(f"garment {path}", GarmentError):
         if path.suffix.lower() == ".obj":
             file = read_obj(path)
-            garment, creases, uv = Garment(file.vertices, file.faces), file.line_elements, file.uv
-        else:
-            garment, creases, uv = Garment(*read_surface(path)), np.zeros((0, 2), int), None
-        vertices, faces = garment.vertices, garment.faces
-        _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-        if len(first) < len(vertices):
-            kept, place = np.unique(first, return_inverse=True)
-            place = place[inverse.reshape(-1)]
-            vertices, faces, creases = vertices[kept], place[faces], place[creases]
-        panels = None if uv is None else panels_of_texture(vertices, faces, garment.face_areas, uv)[0]
-        if vertices is garment.vertices and not len(creases) and panels is None:
-            return garment
-        return Garment(vertices, faces, creases if len(creases) else None, *(panels or ()))
+            return garment_of_mesh(file.vertices, file.faces, line_elements=file.line_elements, uv=file.uv)
+        return garment_of_mesh(*read_surface(path))
+
+
+def garment_of_mesh(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    line_elements: np.ndarray | None = None,
+    uv: np.ndarray | None = None,
+) -> Garment:
+    """What a mesh file holds, as a garment: see `load_garment`.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: (f, 3).
+        line_elements: (k, 2) edges that are creases; None: none.
+        uv: (f, 3, 2) texture coordinates of the corners of faces, not finite where there are none; None: none.
+
+    Returns:
+        The garment.
+
+    Raises:
+        GarmentError: naming what is wrong with the mesh.
+    """
+    garment = Garment(vertices, faces)
+    vertices, faces = garment.vertices, garment.faces
+    creases = np.zeros((0, 2), int) if line_elements is None else line_elements
+    _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    if len(first) < len(vertices):
+        kept, place = np.unique(first, return_inverse=True)
+        place = place[inverse.reshape(-1)]
+        vertices, faces, creases = vertices[kept], place[faces], place[creases]
+    panels = None if uv is None else panels_of_texture(vertices, faces, garment.face_areas, uv)[0]
+    if vertices is garment.vertices and not len(creases) and panels is None:
+        return garment
+    return Garment(vertices, faces, creases if len(creases) else None, *(panels or ()))
 
 
 def _connections(faces: np.ndarray) -> dict[str, np.ndarray]:

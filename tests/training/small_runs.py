@@ -108,8 +108,17 @@ def exported(trainer: Trainer, influences: int, *, engine_influences: int = 2) -
 
 
 def train_command(folder: Path, *more: object, config: str = "band.toml", out: str | Path = "out") -> list[str]:
-    """Arguments of a training on the CPU: a configuration in the folder, an output folder in it."""
-    return ["--config", str(folder / config), "--output", str(folder / out), "--device", "cpu", *map(str, more)]
+    """Arguments of `physkin`, a training on the CPU: a configuration in the folder, an output folder in it."""
+    return [
+        "train",
+        "--config",
+        str(folder / config),
+        "--output",
+        str(folder / out),
+        "--device",
+        "cpu",
+        *map(str, more),
+    ]
 
 
 def run(trainer: Trainer, steps: int) -> None:

@@ -15,16 +15,12 @@ __all__ = ["RecordedStep"]
 class RecordedStep:
     """Calls `compute`; on a GPU the first call is recorded afterwards and the next ones replay the recording.
 
-    clear: called before recording, to drop what `compute` left behind. in_company: the step holds an all-reduce.
+    clear: called before recording, to drop what `compute` left behind.
     """
 
-    def __init__(
-        self, compute: Callable[[], None], device: torch.device, *, clear: Callable[[], None], in_company: bool
-    ) -> None:
+    def __init__(self, compute: Callable[[], None], device: torch.device, *, clear: Callable[[], None]) -> None:
         self._compute, self._clear = compute, clear
         self._on_gpu = device.type == "cuda"
-        # NCCL's own thread may ask for events while this one records.
-        self._mode = "thread_local" if in_company else "global"
         self._graph: torch.cuda.CUDAGraph | None = None
         if self._on_gpu:
             wp.init()
@@ -62,7 +58,7 @@ class RecordedStep:
         self._clear()
         self._graph = torch.cuda.CUDAGraph()
         with (
-            torch.cuda.graph(self._graph, stream=self._side, capture_error_mode=self._mode),
+            torch.cuda.graph(self._graph, stream=self._side),
             wp.ScopedStream(self._warp_side, sync_enter=False),
         ):
             wp.capture_begin(stream=self._warp_side, external=True)

@@ -67,15 +67,6 @@ class Soap:
                         state[f"basis_{side}"] = torch.eye(size, device=device)
             self.state[parameter] = state
 
-    def reset(self) -> None:
-        """Forget all steps."""
-        self.steps.zero_()
-        for state in self.state.values():
-            for name, tensor in state.items():
-                tensor.zero_()
-                if name.startswith("basis"):
-                    tensor.fill_diagonal_(1.0)
-
     def zero_grad(self) -> None:
         """Forget all gradients."""
         for group in self.param_groups:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
+import torch
 
 from physkin_training.catalogue.page import write_page
 from physkin_training.catalogue.plan import (
@@ -17,6 +17,7 @@ from physkin_training.catalogue.plan import (
     steps_taken,
     write_status,
 )
+from physkin_training.fit_garment.settings import FitSettings
 
 MESH = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -34,25 +35,26 @@ def shop(tmp_path):
 
 
 def jobs_of(shop, **settings):
-    return {job.name: job for job in find_jobs(shop, shop.parent / "models", **settings)}
+    return {job.name: job for job in find_jobs(shop, shop.parent / "models", FitSettings(**settings))}
 
 
 def note(job, state, **more):
     write_status(job, Status(job.fingerprint, state, **more))
 
 
-def save_checkpoint(job, folder="checkpoint"):
-    (job.folder / folder).mkdir(parents=True)
-    (job.folder / folder / "state.json").write_text('{"step": 7, "config": {}}')
+def save_checkpoint(job):
+    job.folder.mkdir(parents=True, exist_ok=True)
+    entries = dict.fromkeys(("config", "drape", "average", "optimiser", "random"), {})
+    torch.save({"step": 7, "best": None, "started_from": None} | entries, job.folder / "checkpoint.pt")
 
 
 def test_a_job_for_each_mesh_and_pattern(shop, tmp_path):
     recipe = tmp_path / "all.toml"
     recipe.write_text("seed = 2\n")
-    jobs = jobs_of(shop, recipe=recipe, length=["--steps=9"])
+    jobs = jobs_of(shop, recipe=recipe, steps=9)
     assert list(jobs) == ["coat", "hat", "shirt"] and jobs["shirt"].mesh == shop / "shirt.json"
-    assert jobs["coat"].arguments == ("--steps=9", "--recipe", str(recipe))
-    assert jobs["hat"].arguments == ("--steps=9", "--recipe", str(shop / "hat.toml")), "its own goes before"
+    assert jobs["coat"].settings == FitSettings(steps=9, recipe=recipe, resume=True)
+    assert jobs["hat"].settings.recipe == shop / "hat.toml", "its own goes before"
     assert jobs["hat"].output == tmp_path / "models" / "hat.safetensors"
     assert len({job.fingerprint for job in jobs.values()}) == 3
 
@@ -66,8 +68,8 @@ def test_what_is_finished_what_resumes_and_what_is_new(shop):
     assert stage(jobs["coat"]) == "finished"
     note(jobs["hat"], "training")
     assert stage(jobs["hat"]) == "new", "nothing to go on from"
-    save_checkpoint(jobs["hat"], "checkpoint.previous")
-    assert stage(jobs["hat"]) == "resumes", "the save of a checkpoint was interrupted"
+    save_checkpoint(jobs["hat"])
+    assert stage(jobs["hat"]) == "resumes"
     note(jobs["shirt"], "failed", reason="diverged")
     save_checkpoint(jobs["shirt"])
     assert stage(jobs["shirt"]) == "resumes", "what failed is tried again"
@@ -76,7 +78,7 @@ def test_what_is_finished_what_resumes_and_what_is_new(shop):
 def test_another_mesh_recipe_or_length_is_trained_anew(shop, tmp_path):
     avatar = tmp_path / "me.glb"
     avatar.write_text("one")
-    settings = {"length": ["--steps=9"], "avatar": str(avatar)}
+    settings = {"steps": 9, "avatar": str(avatar)}
     for job in jobs_of(shop, **settings).values():
         note(job, "finished")
         job.output.write_text("model")
@@ -84,8 +86,8 @@ def test_another_mesh_recipe_or_length_is_trained_anew(shop, tmp_path):
     def stages(**other):
         return [stage(job) for job in jobs_of(shop, **(settings | other)).values()]
 
-    assert stages(arguments=["--poses=2"]) == ["finished"] * 3, "the report is no part of the model"
-    assert stages(length=["--steps=10"]) == ["new"] * 3
+    assert stages(poses=2) == ["finished"] * 3, "the report is no part of the model"
+    assert stages(steps=10) == ["new"] * 3
     (shop / "hat.toml").write_text("seed = 3\n")
     assert stages() == ["finished", "new", "finished"]
     (shop / "coat.obj").write_text(MESH)
@@ -114,18 +116,22 @@ def test_steps_taken(shop):
 
 
 def test_folders_that_are_refused(shop, tmp_path):
-    with pytest.raises(CatalogueError, match="nosuch is not a folder"):
-        find_jobs(shop / "nosuch", tmp_path)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(CatalogueError, match="empty holds no garment mesh or pattern; allowed: .obj, .*.json"):
-        find_jobs(tmp_path / "empty", tmp_path)
     (shop / "typo.toml").write_text("")
-    with pytest.raises(CatalogueError, match="typo.toml belongs to no garment: there is no typo.obj"):
-        find_jobs(shop, tmp_path)
-    assert len(find_jobs(shop, tmp_path, recipe=shop / "typo.toml")) == 3, "it is the recipe of all"
+    for folder, settings, said in (
+        (shop / "nosuch", {}, "nosuch is not a folder"),
+        (tmp_path / "empty", {}, "empty holds no garment mesh or pattern; allowed: .obj, .*.json"),
+        (shop, {}, "typo.toml belongs to no garment: there is no typo.obj"),
+        (shop, {"avatar": "me.glb"}, "--avatar .*me.glb: no such file"),
+        (shop, {"recipe": tmp_path / "my.toml"}, "--recipe .*my.toml: no such file"),
+    ):
+        with pytest.raises(CatalogueError, match=said):
+            find_jobs(folder, tmp_path, FitSettings(**settings))
+    of_all = FitSettings(recipe=shop / "typo.toml")
+    assert len(find_jobs(shop, tmp_path, of_all)) == 3, "it is the recipe of all"
     (shop / "coat.stl").write_text("")
     with pytest.raises(CatalogueError, match=r"coat.obj and .*coat.stl would both become coat.safetensors"):
-        find_jobs(shop, tmp_path, recipe=shop / "typo.toml")
+        find_jobs(shop, tmp_path, of_all)
 
 
 def test_the_page_has_a_row_each(shop, tmp_path):
@@ -143,12 +149,10 @@ def test_the_page_has_a_row_each(shop, tmp_path):
         row |= {f"{name}_percent": 10 * number + 2.0 for name in ("edge_strain", "area_strain", "inside")}
     job = jobs["coat"]
     sits = {"edge_strain_percent": 3.25, "inside_percent": 0.5, "deepest_mm": 4.0}
-    note(job, "finished", check={"verdict": "usable", "everyday": sits, "rest": {"inside_percent": 0.125}})
-    checks = [{"check": "units", "outcome": "repaired"}, {"check": "winding", "outcome": "ok"}]
-
-    (job.folder / "figures.json").write_text(
-        json.dumps({"seconds": 90, "checks": checks, "figures": figures, "advice": "train <longer>"})
-    )
+    verdicts = [{"check": "units", "outcome": "repaired"}, {"check": "winding", "outcome": "ok"}]
+    fitted = {"seconds": 90, "verdicts": verdicts, "figures": figures, "advice": "train <longer>"}
+    check = {"verdict": "usable", "everyday": sits, "rest": {"inside_percent": 0.125}}
+    note(job, "finished", check=check, fitted=fitted)
     (job.folder / "picture.jpg").write_bytes(b"\xff\xd8\xff")
     write_page(tmp_path / "page.html", list(jobs.values()))
     page = (tmp_path / "page.html").read_text()

@@ -17,7 +17,10 @@ from training.small_runs import small_config, write_belly_band
 from physkin_core import load_garment_model
 from physkin_core.cli import main
 from physkin_core.extras import install_command
+from physkin_training.catalogue.plan import find_jobs
+from physkin_training.catalogue.train_catalogue import train_catalogue
 from physkin_training.config import as_toml
+from physkin_training.fit_garment.settings import FitSettings
 
 
 @pytest.fixture
@@ -36,21 +39,14 @@ def shop(tmp_path):
     ("arguments", "said"),
     [
         (["{tmp}/nosuch"], "nosuch is not a folder of garment meshes"),
-        (["{tmp}"], "belongs to no garment"),
         (["{tmp}/shop", "--steps", "0"], "--steps 0 must be at least 1"),
         (["{tmp}/shop", "--minutes", "inf"], "--minutes inf must be above 0 and finite"),
-        (["{tmp}/shop", "--checkpoint-every", "-1"], "--checkpoint-every -1 must be above 0"),
-        (["{tmp}/shop", "--workers", "0"], "--workers 0 must be at least 1"),
-        (["{tmp}/shop", "--retries", "-1"], "--retries -1 must be at least 0"),
-        (["{tmp}/shop", "--avatar", "{tmp}/me.glb"], "me.glb: no such file"),
-        (["{tmp}/shop", "--recipe", "{tmp}/my.toml"], "my.toml: no such file"),
+        (["{tmp}/shop", "--cpus", "0"], "--cpus 0 must be at least 1"),
         (["{tmp}/shop", "--output", "{tmp}/recipe.toml"], "recipe.toml is a file; a folder is needed"),
     ],
 )
 def test_refusals(arguments, said, shop, tmp_path, capsys):
     """One sentence, before a cluster is asked for."""
-    if said == "belongs to no garment":
-        write_belly_band(tmp_path / "band.obj")
     given = [argument.format(tmp=tmp_path) for argument in arguments]
     assert main(["train-catalogue", "-o", str(tmp_path / "models"), *given]) == 2
     error = capsys.readouterr().err
@@ -91,7 +87,7 @@ def kill_worker_of(folder: Path, *, after: int, within: float) -> None:
             step = json.loads((folder / "losses.jsonl").read_text().splitlines()[-1])["step"]
         except (OSError, ValueError, LookupError):
             step = 0
-        if step >= after and (folder / "checkpoint" / "state.json").exists():
+        if step >= after and (folder / "checkpoint.pt").exists():
             number = process_that_writes(folder / "log.txt")
             if number:
                 os.kill(number, signal.SIGKILL)
@@ -106,12 +102,16 @@ def test_a_lost_worker_is_replaced_and_goes_on(shop, tmp_path, capsys):
         pytest.skip("needs the [catalogue] extra")
     models = tmp_path / "models"
     (shop / "belly.toml").write_text((tmp_path / "recipe.toml").read_text())
-    command = ["train-catalogue", str(shop), "-o", str(models), "--recipe", str(tmp_path / "recipe.toml")]
-    command += ["--steps", "200", "--bodies", "1", "--poses", "2", "--workers", "2", "--device", "cpu"]
-    command += ["--checkpoint-every", "0.01"]
+    settings = FitSettings(
+        recipe=tmp_path / "recipe.toml", steps=200, bodies=1, poses=2, device="cpu", checkpoint_every=0.6
+    )
+
+    def train():
+        return train_catalogue(find_jobs(shop, models, settings), models, device="cpu")
+
     hand = threading.Thread(target=kill_worker_of, args=(models / "waist",), kwargs={"after": 40, "within": 300})
     hand.start()
-    assert main(command) == 1, "one of three is refused"
+    assert train() == 1, "one of three is refused"
     hand.join()
     said = capsys.readouterr()
     assert "waist finished, begun 2 times" in said.out and "raylet" not in said.out + said.err
@@ -126,7 +126,7 @@ def test_a_lost_worker_is_replaced_and_goes_on(shop, tmp_path, capsys):
     assert "2 finished, 1 failed" in page and "begun 2 times" in page and "refresh" not in page
     times = {name: (models / f"{name}.safetensors").stat().st_mtime_ns for name in ("belly", "waist")}
     capsys.readouterr()
-    assert main(command) == 1
+    assert train() == 1
     assert "2 garments are finished, 0 are gone on with, 1 are new" in capsys.readouterr().out
     assert times == {name: (models / f"{name}.safetensors").stat().st_mtime_ns for name in times}
     assert re.search(r"dot.*cannot be trained", json.loads((models / "dot" / "status.json").read_text())["reason"])

@@ -164,7 +164,7 @@ def test_stages_carry_the_garment_along(body, band, monkeypatch):
     """Without minimising, a garment that started as skinning puts it ends as skinning puts it."""
     garment = load_garment(band)
     avatar = avatar_from_body(body, body.garment_body)
-    simulation = DrapeSimulation(garment, avatar, plain_model(band, nodes=12), Material(), 1, CPU)
+    simulation = DrapeSimulation(garment, avatar, plain_model(garment, nodes=12), Material(), 1, CPU)
     poses = Poses(body.rig.joint_positions({"spine05_x": 0.4, "spine03_x": 0.3})[None], np.array([[0.0, 0, -1]]))
     options = {"iterations": 1, "tolerance": 1e9}  # converged where it starts
     monkeypatch.setattr(staged_drape, "ON_THE_WAY", options)

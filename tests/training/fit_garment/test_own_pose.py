@@ -22,7 +22,7 @@ from physkin_core.cli import main
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning
 from physkin_training.fit_garment.checks import check_garment
-from physkin_training.fit_garment.fitting import carried
+from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import find_lying
 from physkin_training.physics.surface_queries import BodySurface
@@ -74,7 +74,7 @@ class Person:
 
     def wearing(self, garment: Garment, template) -> tuple[np.ndarray, np.ndarray]:
         """A garment where it lies on the posed body, vertices (n, 3) [m] in the file's frame, and faces."""
-        on_body = carried(garment.vertices, template, self.canonical)
+        on_body = onto_body(garment.vertices, template, self.canonical)
         near = self.weights[cKDTree(self.canonical.vertices).query(on_body, k=16)[1]].mean(axis=1)
         blended = np.einsum("nb,bij->nij", near, self.transforms)
         posed = np.einsum("nij,nj->ni", blended[..., :3], on_body) + blended[..., 3]
@@ -116,9 +116,7 @@ def own(avatar_file):
     [
         ("longsleeve", 1.0, np.eye(3), "metres, Z up, X forward"),
         ("skirt", 0.01, Y_UP, "centimetres, Y up, Z forward"),
-        ("tshirt", 1.0, Y_UP, "metres, Y up, Z forward"),
         ("trousers", 0.01, np.eye(3), "centimetres, Z up, X forward"),
-        ("dress", 1.0, np.eye(3), "metres, Z up, X forward"),
     ],
 )
 def test_a_garment_is_where_it_lies(name, scale, axes, read, person, own, template):
@@ -196,7 +194,7 @@ def a_patch_gone(v, f):
     return v, f[away > np.quantile(away, 0.1)]
 
 
-@pytest.mark.parametrize("name", ["tshirt", "longsleeve", "dress", "trousers", "skirt"])
+@pytest.mark.parametrize("name", ["tshirt", "dress", "trousers", "skirt", "circleskirt"])
 def test_upside_down_is_refused(name, template):
     """Where it is put on all the same, as without an avatar."""
     garment = load_garment(GARMENTS / f"{name}.obj")

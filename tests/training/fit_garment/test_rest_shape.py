@@ -12,7 +12,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.rest_shape import flat_areas, flat_edges, side_lengths
 from physkin_training.fit_garment.checks import check_garment, write_garment
-from physkin_training.fit_garment.fitting import carried
+from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.rest_shape import check_rest_shape, laid_out
 from physkin_training.fit_garment.verdicts import Checks
 from physkin_training.physics.surface_queries import BodySurface
@@ -29,12 +29,16 @@ def sewn_band(*, columns: int = 32, rings: int = 17) -> Garment:
 
 
 def rewritten(path, avatar, template) -> tuple[Garment, str, str]:
-    """What training reads of a mesh that was checked, and the outcome and words of the verdict."""
+    """What is read again of a mesh that was checked, and the outcome and words of the verdict. It is exactly what
+    training began with, so that a run can be resumed."""
     checked = check_garment(read_mesh(path), avatar, template)
     assert not checked.refused, checked.verdicts[-1]
     write_garment(path.with_name("garment.obj"), checked)
     (verdict,) = [each for each in checked.verdicts if each.check == "flat rest shape"]
-    return load_garment(path.with_name("garment.obj")), verdict.outcome, verdict.found
+    again = load_garment(path.with_name("garment.obj"))
+    for name in ("vertices", "faces", "creases", "panel_places", "panel_faces"):
+        np.testing.assert_array_equal(getattr(checked.garment, name), getattr(again, name), err_msg=name)
+    return again, verdict.outcome, verdict.found
 
 
 def test_panels_and_creases_are_kept_through_repairs(template, tmp_path):
@@ -70,7 +74,7 @@ def test_panels_are_graded_to_the_template_with_a_mesh_of_another_body(template,
     tallest = max(body_model.held_out_bodies, key=lambda c: np.ptp(body_model.vertices(c)[:, 2]))
     tall = avatar_from_body(body_model, tallest)
     band = sewn_band()
-    on_tall = BodySurface(tall.vertices, tall.faces).push_out(carried(band.vertices, template, tall), 0.005)
+    on_tall = BodySurface(tall.vertices, tall.faces).push_out(onto_body(band.vertices, template, tall), 0.005)
     write_sewn(tmp_path / "band.obj", band.reshaped(on_tall))
     plain = load_garment(tmp_path / "band.obj")
     assert plain.panel_places is not None

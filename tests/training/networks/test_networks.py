@@ -40,39 +40,27 @@ def test_hyper_modulator_agrees(width, blocks, count):
     assert np.abs(result[0] - result[1]).max() > 1e-3
 
 
-def test_the_fit_shifts_tokens_as_at_the_run_time():
-    """Each body at its own fit, against the reference with the fit folded in; without a fit as at fit 0."""
+@pytest.mark.parametrize(
+    ("given", "folded", "values"),
+    [
+        (lambda fits: (torch.tensor(fits),), at_fit, [0.0, 0.4, 1.0]),
+        (lambda times: (None, torch.tensor([bending_code(each) for each in times])), with_bending, [1.0, 0.5, 16.0]),
+    ],
+    ids=["fit", "bending"],
+)
+def test_fit_and_bending_shift_tokens_as_at_the_run_time(given, folded, values):
+    """Each body with its own, against the reference with that folded in; without any, as with the first value."""
     rng = np.random.default_rng(2)
-    arrays = random_hyper_modulator(rng, 20)
-    config = NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2)
-    twin = HyperModulator(config, 20)
-    twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
-    points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
-    normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
-    pair, fits = (torch.as_tensor(points), torch.as_tensor(normals)), [0.0, 0.4, 1.0]
-    with torch.no_grad():
-        result, plain = twin(*pair, torch.tensor(fits)).numpy(), twin(*pair).numpy()
-    for body, fit in enumerate(fits):
-        expected = body_modulation(at_fit(arrays, fit), points[body], normals[body])
-        np.testing.assert_allclose(result[body], expected, atol=3e-5)
-    np.testing.assert_array_equal(plain[0], result[0])
-    assert np.abs(result[2] - result[0]).max() > 0.01
-
-
-def test_bending_shifts_tokens_as_at_the_run_time():
-    """Each body in cloth of its own, against the reference with that folded in; without any as trained."""
-    rng = np.random.default_rng(3)
     arrays = random_hyper_modulator(rng, 20)
     twin = HyperModulator(NetworkConfig(token_width=8, feed_forward=16, residual_blocks=2), 20)
     twin.load_state_dict({name: torch.as_tensor(array) for name, array in arrays.items()})
     points = rng.uniform(-1, 1, size=(1, 60, 3)).astype(np.float32).repeat(3, axis=0)
     normals = unit_rows(rng, 60).astype(np.float32)[None].repeat(3, axis=0)
-    pair, times = (torch.as_tensor(points), torch.as_tensor(normals)), [1.0, 0.5, 16.0]
+    pair = torch.as_tensor(points), torch.as_tensor(normals)
     with torch.no_grad():
-        result = twin(*pair, None, torch.tensor([bending_code(each) for each in times])).numpy()
-        plain = twin(*pair).numpy()
-    for body, stiffer in enumerate(times):
-        expected = body_modulation(with_bending(arrays, stiffer), points[body], normals[body])
+        result, plain = twin(*pair, *given(values)).numpy(), twin(*pair).numpy()
+    for body, value in enumerate(values):
+        expected = body_modulation(folded(arrays, value), points[body], normals[body])
         np.testing.assert_allclose(result[body], expected, atol=3e-5)
     np.testing.assert_array_equal(plain[0], result[0])
     assert np.abs(result[2] - result[0]).max() > 0.01

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from physkin_core import load_garment_model, save_garment_model
+from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.export import drape_from_model
 from physkin_training.networks.garment_nodes import GarmentNodeSet
-from physkin_training.networks.rest_normals import (
-    MEASURED_BODIES,
-    MEASURED_FRAMES,
-    fitted_rest_normals,
-    main,
-    normal_errors,
-)
-
-
-def with_own_normals(model):
-    """With the normals of its mesh."""
-    return replace(model, rest_normals=vertex_normals(model.garment.vertices, model.garment.faces))
+from physkin_training.networks.rest_normals import fitted_rest_normals
 
 
 @pytest.fixture(scope="module")
@@ -36,20 +24,24 @@ def tshirt():
     return replace(load_garment_model("tshirt"), detail=None)
 
 
-@pytest.mark.parametrize("name", ["tshirt", "trousers"])
-def test_fitted_normals_are_nearer_to_the_draped_mesh_s(name):
-    """Than its own normals carried, in the middle and at the worst, and nowhere farther, but where the worst is small.
-    Of garments without detail: with it they have normals of their faces."""
-    model = replace(load_garment_model(name), detail=None)
-    model = replace(model, rest_normals=fitted_rest_normals(drape_from_model(model), model.garment, model.rig))
-    fitted, own = (
-        normal_errors(each, bodies=MEASURED_BODIES, frames=MEASURED_FRAMES) for each in (model, with_own_normals(model))
-    )
-    for take, errors in fitted.items():
-        assert errors.median < 1.05 * own[take].median
-        assert errors.p99 < max(1.06 * own[take].p99, 30.0)
-    assert fitted["uniform"].median < 0.9 * own["uniform"].median
-    assert fitted["uniform"].p99 < (0.97 if name == "trousers" else 0.93) * own["uniform"].p99  # folds lie either way
+def test_fitted_normals_are_nearer_to_the_draped_mesh_s(tshirt):
+    """In poses they were not fitted to, on a body that was not either: the median angle to the normals of the draped
+    mesh is a tenth smaller than of the mesh's own normals. In uniform poses they gain a fifth (docs/notebook)."""
+    garment, rig = tshirt.garment, tshirt.rig
+    fitted = fitted_rest_normals(drape_from_model(tshirt), garment, rig)
+    own = vertex_normals(garment.vertices, garment.faces)
+    body_model = load_body_model()
+    avatar = avatar_from_body(body_model, body_model.held_out_bodies[0])
+    median = {}
+    for name, normals in (("fitted", fitted), ("own", own)):
+        draper = Draper(replace(tshirt, rest_normals=normals), avatar, fit=0.0, precision="fp32")
+        angles, generator = [], np.random.default_rng(1)
+        for positions in generator.uniform(rig.lower, rig.upper, (12, len(rig.rest))):
+            cloud = draper.drape(positions.astype(np.float32), np.array([0.0, 0.0, -1.0], dtype=np.float32))
+            cosine = (cloud[:, 3:] * vertex_normals(cloud[:, :3], draper.faces)).sum(axis=1)
+            angles.append(np.degrees(np.arccos(cosine.clip(-1, 1))))
+        median[name] = np.median(angles)
+    assert median["fitted"] < 0.9 * median["own"]
 
 
 def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt):
@@ -71,29 +63,3 @@ def test_impossible_numbers_and_other_rigs_are_refused(tshirt, wrong):
     rig = Rig.from_json(tshirt.rig.to_json() | {"dofs": tshirt.rig.to_json()["dofs"][1:]})
     with pytest.raises(ValueError, match="rig"):
         fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, rig)
-
-
-def test_store_writes_what_it_fitted(tmp_path, monkeypatch, capsys):
-    """What it did for a shipped model before that was rounded; nothing else changes; the table has a row before and one
-    after."""
-    shipped, path = load_garment_model("trousers"), tmp_path / "mine.safetensors"
-    save_garment_model(with_own_normals(shipped), path)
-    before = load_garment_model(path)
-    monkeypatch.setattr("physkin_training.networks.rest_normals.MEASURED_BODIES", 1)
-    monkeypatch.setattr("physkin_training.networks.rest_normals.MEASURED_FRAMES", 1)
-    assert main([str(path), "--store"]) == 0
-    stored = load_garment_model(path)
-    np.testing.assert_allclose(stored.rest_normals, shipped.rest_normals, atol=0.1)
-    assert np.abs(stored.rest_normals - shipped.rest_normals).mean() < 5e-3
-    arrays = before.arrays()
-    for name, array in stored.arrays().items():
-        if name != "garment.normals":
-            np.testing.assert_array_equal(array, arrays[name])
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| trousers")]
-    assert len(rows) == 2 and all(re.search(r"\| [0-9.]+, [0-9]+ +\|", row) for row in rows)
-
-
-@pytest.mark.parametrize("arguments", [["tshirt", "--store"], ["nosuch.safetensors"]])
-def test_models_that_cannot_be_written_or_read_are_named(arguments, capsys):
-    assert main(arguments) == 2
-    assert arguments[0] in capsys.readouterr().err

@@ -105,17 +105,6 @@ def test_large_sides_and_vectors_have_no_basis(monkeypatch):
     assert optimiser.state[networks[1]].keys() == optimiser.state[others[0]].keys() == kinds
 
 
-def test_reset_forgets_all_steps():
-    networks, others, optimiser = make()
-    set_rates(optimiser, 0.02)
-    descend(optimiser, networks, others, badly_conditioned(), 25)
-    optimiser.reset()
-    _, _, fresh = make()
-    assert optimiser.steps == 0
-    for state, new in zip(optimiser.state.values(), fresh.state.values(), strict=True):
-        assert all(torch.equal(state[name], new[name]) for name in new)
-
-
 @pytest.mark.parametrize("step, turns", [(10, True), (15, False), (TURN_EVERY, True), (TURN_EVERY + 10, False)])
 def test_when_bases_turn(step, turns):
     networks, others, optimiser = make()

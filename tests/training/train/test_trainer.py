@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,34 +15,42 @@ from random_models import random_sway_network
 from training.small_runs import run, small_config, train_command
 
 from physkin_core import load_body_model, load_garment, load_garment_model
+from physkin_core.cli import main
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import POINT_COUNT
-from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import as_toml, load_config
 from physkin_training.networks.export import drape_from_model
 from physkin_training.networks.rest_normals import fitted_rest_normals
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ
-from physkin_training.train import schedule
+from physkin_training.train import schedule, validation
 from physkin_training.train import trainer as trainer_module
-from physkin_training.train.train import main
-from physkin_training.train.trainer import TERMS, Trainer
+from physkin_training.train.checkpoint import checkpoint_step
+from physkin_training.train.run import best_model, trained_model
+from physkin_training.train.trainer import TERMS, Trainer, TrainingDiverged
 
 CPU = torch.device("cpu")
+
+
+def strained(trainer):
+    """Energy [J] of the averaged drape on the validation's poses, without gravity."""
+    trainer.validation.energy(trainer.averaged)
+    return trainer.validation.strained
 
 
 def test_a_short_run_lowers_the_energy_of_poses_it_has_not_seen(tmp_path, monkeypatch):
     """Plain skinning at the start; after 40 steps less than three quarters of its energy on the validation's poses."""
     monkeypatch.setattr(schedule, "AVERAGE_DECAY", 0.0)
+    monkeypatch.setattr(validation, "HEAVY_ENERGY", 1e3)  # heavy poses count in full
     monkeypatch.setattr(trainer_module, "NORMALISING_POSES", 2048)  # of few, the energy falls less
     config = small_config(
         tmp_path, steps=40, samples=4, growth=0.0, full_encoding=1.0, prune_at=0.6, learning_rate=8e-3
     )
     trainer = Trainer(replace(config, train_bodies=2), CPU)
-    before = trainer.average_energy()
+    before = strained(trainer)
     for _ in trainer.run(39):
         assert math.isfinite(trainer.gradient_norm.item())
-    assert trainer.average_energy() < 0.75 * before
+    assert strained(trainer) < 0.75 * before
     weights = trainer.drape.skinning_weights
     assert (weights > 0).sum(dim=1).max() == 3, "influences are pruned"
     assert torch.allclose(weights.sum(dim=1), torch.ones(()))
@@ -167,11 +175,10 @@ def config_file(tmp_path):
 
 
 def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
-    """To the end in two parts: stopped by the clock at the first report, resumed, exported."""
     out = finished_run / "out"
-    assert json.loads((out / "checkpoint" / "state.json").read_text())["step"] == 12
+    assert checkpoint_step(out / "checkpoint.pt") == 12
     rows = [json.loads(line) for line in (out / "losses.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == [4, 8, 12]
+    assert [row["step"] for row in rows] == list(range(1, 13))
     keys = (*TERMS, "range", "gradient_norm", "seconds", "median_stretch_and_collision")
     assert all(math.isfinite(row[term]) for row in rows for term in keys)
     assert list((out / "scalars").iterdir())
@@ -181,27 +188,12 @@ def test_the_command_writes_model_checkpoint_and_scalars(finished_run):
     assert model.training["garment"] == "band.obj", "no path of this machine"
     best = model.training["step"], model.training["validation_energy_j"]
     assert best == (rows[-1]["best_step"], rows[-1]["best_validation_energy"])
-    assert "validation_energy" not in rows[0] and rows[1]["validation_energy"] == rows[1]["best_validation_energy"]
+    assert "validation_energy" not in rows[6] and rows[7]["validation_energy"] == rows[7]["best_validation_energy"]
     garment = load_garment(finished_run / "band.obj")
     np.testing.assert_allclose(model.garment.vertices, garment.vertices, atol=2e-6)
     fitted = fitted_rest_normals(drape_from_model(model), model.garment, model.rig)
     np.testing.assert_allclose(model.rest_normals, fitted, atol=0.01)
     assert np.abs(fitted - vertex_normals(garment.vertices, garment.faces)).max() > 0.02
-
-
-def test_ctrl_c_saves_an_exact_checkpoint(config_file, finished_run, tmp_path, monkeypatch, unfitted_normals):
-    """The step finishes; the run then goes on as if nothing had been."""
-    common = train_command(tmp_path)
-    with monkeypatch.context() as context:
-        context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=5))
-        assert main(common) == 130
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    checkpoint = tmp_path / "out" / "checkpoint"
-    assert json.loads((checkpoint / "state.json").read_text())["step"] == 5
-    assert main([*common, "--resume", str(checkpoint)]) == 0
-    first, second = (load_garment_model(folder / "out" / "band.safetensors") for folder in (finished_run, tmp_path))
-    for name, array in replace(first, rest_normals=second.rest_normals).arrays().items():
-        np.testing.assert_array_equal(array, second.arrays()[name], err_msg=name)
 
 
 def step_then(action, at):
@@ -226,40 +218,34 @@ def spoilt(trainer, vertices, gravity, original, what):
     return original(trainer, vertices, gravity) + math.nan * vertices.sum()
 
 
-@pytest.mark.parametrize("what", ["energies", "gradient"])
-@pytest.mark.parametrize("arguments, kept", [(["--checkpoint-every", "1e-9"], 8), (["--log-every", "1"], None)])
-def test_a_run_that_diverges_keeps_the_good_checkpoint(
-    config_file, tmp_path, monkeypatch, capsys, what, arguments, kept
-):
+@pytest.mark.parametrize(("what", "kept"), [("energies", 8), ("gradient", 8), ("gradient", None)])
+def test_a_run_that_diverges_keeps_the_good_checkpoint(tmp_path, monkeypatch, what, kept):
     """Checkpoints at every step, or none; the ninth step is no longer finite."""
     original = Trainer.objective
     monkeypatch.setattr(Trainer, "objective", lambda trainer, *given: spoilt(trainer, *given, original, what))
-    common = train_command(tmp_path)
-    assert main([*common, *arguments]) == 1
-    error = capsys.readouterr().err
-    assert "not finite at step 9" in error and ("start from it" in error) == bool(kept)
-    state = tmp_path / "out" / "checkpoint" / "state.json"
-    assert (json.loads(state.read_text())["step"] if state.exists() else None) == kept
-    assert not list((tmp_path / "out").glob("*.safetensors"))
+    trainer, every = Trainer(small_config(tmp_path), CPU), 1e9 if kept is None else 0.0
+    with pytest.raises(TrainingDiverged, match="not finite at step 9") as diverged:
+        trained_model(trainer, tmp_path / "out", tmp_path / "band.safetensors", checkpoint_every=every)
+    assert ("start from it" in str(diverged.value)) == bool(kept)
+    assert checkpoint_step(tmp_path / "out" / "checkpoint.pt") == kept
+    assert not list(tmp_path.glob("*.safetensors"))
 
 
-def test_the_model_file_tells_what_it_was_started_from(finished_run, tmp_path, unfitted_normals):
-    config = tmp_path / "second.toml"
-    config.write_text(as_toml(replace(small_config(tmp_path, steps=2), seed=6)))
-    started = ["--start-from", str(finished_run / "out" / "checkpoint")]
-    assert main(train_command(tmp_path, *started, config="second.toml")) == 0
-    training = load_garment_model(tmp_path / "out" / "band.safetensors").training
-    told = load_garment_model(finished_run / "out" / "band.safetensors").training
-    assert training["seed"] == 6
-    assert training["started_from"]["seed"] == 5 and training["started_from"]["step"] == told["step"]
+def test_the_model_says_what_it_was_started_from(finished_run, tmp_path):
+    trainer = Trainer(replace(small_config(tmp_path), seed=6), CPU)
+    trainer.start_from(finished_run / "out" / "checkpoint.pt")
+    training = best_model(trainer).training
+    assert training["seed"] == 6 and training["started_from"]["seed"] == 5
+    first = load_garment_model(finished_run / "out" / "band.safetensors").training
+    assert training["started_from"]["step"] == first["step"]
 
 
 def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkeypatch, unfitted_normals):
     """A run from a model is measured before its first step; the next measurement is that of its end."""
     written, finished = [], [0]
-    monkeypatch.setattr("physkin_training.train.train.SHOWN_EVERY", -1.0)
+    monkeypatch.setattr("physkin_training.train.run.SHOWN_EVERY", -1.0)
     monkeypatch.setattr(
-        "physkin_training.train.train.save_garment_model", lambda _, path: written.append((path.name, finished[-1]))
+        "physkin_training.train.run.save_garment_model", lambda _, path: written.append((path.name, finished[-1]))
     )
     run = Trainer.run
     monkeypatch.setattr(
@@ -267,25 +253,20 @@ def test_what_a_run_began_with_is_not_shown_again(finished_run, tmp_path, monkey
     )
     config = small_config(tmp_path, steps=3)
     at_once = replace(config.optimisation, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=100)
-    config = as_toml(replace(config, optimisation=at_once, start=finished_run / "out" / "band.safetensors"))
-    (tmp_path / "band.toml").write_text(config)
-    shutil.copy(finished_run / "out" / "band.safetensors", tmp_path)
-    main(train_command(tmp_path), shown=tmp_path / "shown.safetensors")
+    start = load_garment_model(finished_run / "out" / "band.safetensors")
+    config = replace(config, optimisation=at_once)
+    trained_model(Trainer(config, CPU, start=start), tmp_path, tmp_path / "shown.safetensors", shown=True)
     assert finished == [0, 1, 2, 3] and set(written) == {("shown.safetensors", 3)}
 
 
-def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path, unfitted_normals):
+def test_a_run_keeps_the_sway_of_what_it_began_with(finished_run, tmp_path):
     model = load_garment_model(finished_run / "out" / "band.safetensors")
     modulation = len(model.hyper_modulator["output.bias"])
     sizes = {"joints": 12, "states": OSCILLATORS, "widths": (HIDDEN, READ, LAST), "code": 12}
     given = np.random.default_rng(0), len(model.rig.dofs), len(model.node_rest)
     sway = random_sway_network(*given, modulation=modulation, **sizes)
-    save_garment_model(replace(model, sway=sway), tmp_path / "swaying.safetensors")
-    start = load_garment_model(tmp_path / "swaying.safetensors")
-    config = replace(small_config(tmp_path, steps=2), start=tmp_path / "swaying.safetensors")
-    (tmp_path / "band.toml").write_text(as_toml(config))
-    assert main(train_command(tmp_path)) == 0
-    kept = load_garment_model(tmp_path / "out" / "band.safetensors").sway
+    start = replace(model, sway=sway)
+    kept = best_model(Trainer(small_config(tmp_path), CPU, start=start)).sway
     assert all(np.array_equal(ours, theirs) for ours, theirs in zip(kept.rates, start.sway.rates))
     assert kept.code_directions.shape == start.sway.code_directions.shape
 
@@ -295,10 +276,10 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
     tried = []
     monkeypatch.setattr("physkin_training.networks.export.EXPORT_TOLERANCE", 1e-9)
     monkeypatch.setattr(
-        "physkin_training.train.train.rounded_model",
+        "physkin_training.train.run.rounded_model",
         lambda model, *, device, finely=False: tried.append(finely) or model,
     )
-    resumed = "--resume", finished_run / "out" / "checkpoint"
+    resumed = "--resume", finished_run / "out" / "checkpoint.pt"
     assert main(train_command(finished_run, *resumed, out=tmp_path)) == 1
     assert tried == [False, True]
     assert "allowed 1e-06 mm" in capsys.readouterr().err and not list(tmp_path.glob("*.safetensors"))
@@ -306,14 +287,7 @@ def test_an_export_that_drapes_otherwise_is_refused(finished_run, tmp_path, monk
 
 
 @pytest.mark.parametrize(
-    "arguments, named",
-    [
-        (["--resume", "a", "--start-from", "b"], "--start-from"),
-        (["--log-every", "0"], "0"),
-        (["--checkpoint-every", "0"], "0"),
-        (["--stop-after", "nan"], "nan"),
-        (["--minutes", "inf"], "inf"),
-    ],
+    "arguments, named", [(["--resume", "a", "--start-from", "b"], "--start-from"), (["--minutes", "inf"], "inf")]
 )
 def test_impossible_arguments(config_file, tmp_path, capsys, arguments, named):
     with pytest.raises(SystemExit):
@@ -339,45 +313,49 @@ def test_errors_of_the_command_are_one_line(config_file, tmp_path, capsys, spoil
     assert not (tmp_path / "out").exists()
 
 
-def test_choosing_the_steps_leaves_the_run_as_it_was(tmp_path):
-    """Steps at the late settings prune, draw and move moments; a run after them is bit for bit the one without."""
-    config = small_config(tmp_path, full_encoding=1.0, validate_every=12)
-    plain = Trainer(config, CPU)
-    run(plain, 12)
-    trainer = Trainer(config, CPU)
-    rate = trainer.choose_steps(20.0)
-    assert 0 < trainer.config.optimisation.steps <= 20.0 * rate
-    trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=12))
-    run(trainer, 12)
-    for (name, expected), tensor in zip(plain.drape.state_dict().items(), trainer.drape.state_dict().values()):
-        assert torch.equal(tensor, expected), name
-    assert trainer.best.energy == plain.best.energy
-    with pytest.raises(ValueError, match="not after 12"):
+def test_the_number_of_steps_is_chosen_by_timing_the_first(tmp_path, monkeypatch):
+    """They count: of a second each, in 60 s three are for warming up and three are timed, over 2 s or a little more."""
+    now = [0.0]
+
+    def take_step(_):
+        now[0] += 1.0
+
+    monkeypatch.setattr(Trainer, "take_step", take_step)
+    trainer = Trainer(small_config(tmp_path, full_encoding=1.0), CPU)
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    assert trainer.choose_steps(60.0) == pytest.approx(1.0)
+    assert trainer.step == 6 and trainer.config.optimisation.steps == 60
+    with pytest.raises(ValueError, match="not after 6"):
         trainer.choose_steps(3.0)
     with pytest.raises(ValueError, match="too short for a run of 10 steps"):
-        Trainer(config, CPU).choose_steps(0.001)
+        Trainer(small_config(tmp_path), CPU).choose_steps(0.001)
 
 
-def test_a_resumed_run_keeps_the_steps_that_were_chosen(tmp_path, capsys, monkeypatch, unfitted_normals):
-    """The rate is not measured again: another one would be another schedule."""
+def test_a_run_that_ctrl_c_ends_is_resumed_with_the_steps_that_were_chosen(
+    tmp_path, capsys, monkeypatch, unfitted_normals
+):
+    """The running step is finished and saved. The rate is not measured again: another one would be another schedule."""
 
     def choose(trainer, seconds):
         assert seconds == pytest.approx(6.0)
-        trainer.config = replace(trainer.config, optimisation=replace(trainer.config.optimisation, steps=7))
+        trainer.set_steps(7)
         return 1.0
 
     text = as_toml(small_config(tmp_path)).splitlines()
-    (tmp_path / "run.toml").write_text("\n".join(line for line in text if not line.startswith("steps")))
-    command = ["--config", str(tmp_path / "run.toml"), "--device", "cpu", "--log-every", "1"]
-    monkeypatch.setattr(Trainer, "choose_steps", choose)
-    first = [*command, "--minutes", "0.1", "--output", str(tmp_path / "first")]
-    assert main([*first, "--stop-after", "1e-9"]) == 0
+    (tmp_path / "band.toml").write_text("\n".join(line for line in text if not line.startswith("steps")))
+    command = train_command(tmp_path, "--minutes", "0.1")
+    with monkeypatch.context() as context:
+        context.setattr(Trainer, "choose_steps", choose)
+        context.setattr(Trainer, "take_step", step_then(lambda: signal.raise_signal(signal.SIGINT), at=2))
+        assert main(command) == 130
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert checkpoint_step(tmp_path / "out" / "checkpoint.pt") == 2
     monkeypatch.setattr(Trainer, "choose_steps", None)
-    resumed = ["--resume", str(tmp_path / "first" / "checkpoint")]
-    assert main([*first, *resumed]) == 0
-    rows = [json.loads(line) for line in (tmp_path / "first" / "losses.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == list(range(1, 8))
-    assert main([*command, "--output", str(tmp_path / "second"), *resumed]) == 2
+    resumed = ["--resume", str(tmp_path / "out" / "checkpoint.pt")]
+    assert main([*command, *resumed]) == 0
+    rows = [json.loads(line) for line in (tmp_path / "out" / "losses.jsonl").read_text().splitlines()]
+    assert rows[-1]["step"] == 7
+    assert main([*train_command(tmp_path, out="second"), *resumed]) == 2
     assert "steps = 7" in capsys.readouterr().err
 
 

@@ -7,18 +7,16 @@ from dataclasses import replace
 
 import pytest
 import torch
-from training.small_runs import small_config, train_command
+from training.small_runs import run, small_config
 
-from physkin_core import load_body_model, load_garment_model
+from physkin_core import load_body_model
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
-from physkin_training.config import as_toml
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import PosedBodies
-from physkin_training.train.processes import Processes
-from physkin_training.train.train import main
+from physkin_training.train.run import best_model
 from physkin_training.train.trainer import Trainer
 from physkin_training.train.validation import Validation
 
@@ -69,7 +67,6 @@ def test_the_energy_is_the_mean_over_the_set(trainer):
     assert validation.energy(drape) == pytest.approx((light + heights).mean().item(), rel=1e-5)
     assert validation.made_to_measure == pytest.approx((light + heights)[1].mean().item(), rel=1e-5)
     assert validation.strained == pytest.approx(light.mean().item(), rel=1e-5)
-    assert validation.mean_energy(drape) == pytest.approx(strained.mean().item(), rel=1e-5)
 
 
 def test_poses_are_drawn_from_the_full_range(trainer):
@@ -78,26 +75,6 @@ def test_poses_are_drawn_from_the_full_range(trainer):
     assert share.min() >= 0 and share.max() <= 1
     assert share.min() < 0.05 and share.max() > 0.95
     assert len(positions.unique(dim=0)) == len(positions)
-
-
-class Silent(Processes):
-    """A process whose companions do not answer."""
-
-    def average(self, tensors):
-        pass
-
-
-def test_processes_share_the_set(trainer):
-    """The mean over two processes' shares is the one process's figure."""
-    config, garment, fits = trainer.config, trainer.garment, trainer.fits
-    worn = {"fits": fits, "rest": RestData(garment, config.material, CPU, shapes=fits.shapes)}
-    shares = [
-        Validation(config, BODY, garment, trainer.bodies, wearing_of(trainer), Silent(rank, 2), **worn)
-        for rank in range(2)
-    ]
-    halves = [share.energy(trainer.averaged) for share in shares]
-    whole = trainer.validation.energy(trainer.averaged)
-    assert sum(halves) / 2 == pytest.approx(whole, rel=1e-4) and halves[0] != halves[1]
 
 
 def spoken(monkeypatch, energies):
@@ -151,10 +128,9 @@ def test_the_best_waits_for_the_influences_of_engines(tmp_path, monkeypatch):
     assert best == [None] * 7 + [8, 9, 10, 11, 12]
 
 
-def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
-    """Through the command: two measurements, the first one better."""
+def test_the_export_is_the_best_model(tmp_path, monkeypatch):
+    """Of two measurements, the first one is better."""
     config = small_config(tmp_path, steps=4, growth=0.0, prune_from=0.0, prune_at=0.0, validate_every=2)
-    (tmp_path / "band.toml").write_text(as_toml(config))
     averages = []
 
     def energy(validation, drape):
@@ -163,8 +139,9 @@ def test_the_export_is_the_best_model(tmp_path, monkeypatch, unfitted_normals):
         return float(len(averages))
 
     monkeypatch.setattr(Validation, "energy", energy)
-    assert main(train_command(tmp_path)) == 0
-    model = load_garment_model(tmp_path / "out" / "band.safetensors")
+    trainer = Trainer(config, CPU)
+    run(trainer, 4)
+    model = best_model(trainer)
     assert model.training["step"] == 2 and model.training["validation_energy_j"] == 1.0
     assert model.bending_octaves == BENDING_OCTAVES
     exported = drape_from_model(model).skinning_weights.detach().sort(dim=1).values

@@ -18,15 +18,16 @@ LETTING_GO = 60.0
 """Time [s] that trainings get to write a checkpoint when all is stopped."""
 ANSWER = 5.0
 """Time [s] that a cluster gets to answer."""
+RETRIES = 3
+"""New attempts for a garment whose worker was lost."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """cpus, gpus: what a training gets. retries: after a worker was lost. at_once: most trainings at a time."""
+    """cpus, gpus: what a training gets. at_once: most trainings at a time."""
 
     cpus: int
     gpus: int
-    retries: int
     at_once: int
 
     @property
@@ -42,9 +43,7 @@ class Cluster:
         import ray
 
         # A process a garment: what one leaves behind, in memory or of a crash, no other one sees.
-        remote = ray.remote(num_cpus=self.cpus, num_gpus=self.gpus, max_retries=self.retries, max_calls=1)(
-            train_garment
-        )
+        remote = ray.remote(num_cpus=self.cpus, num_gpus=self.gpus, max_retries=RETRIES, max_calls=1)(train_garment)
         waiting, running = list(reversed(jobs)), {}
         try:
             while waiting or running:
@@ -68,7 +67,7 @@ class Cluster:
             return ray.get(task)
         except ray.exceptions.RayError as error:
             lost = isinstance(error, ray.exceptions.WorkerCrashedError | ray.exceptions.NodeDiedError)
-            reason = f"its worker was lost {self.retries + 1} times" if lost else " ".join(str(error).split())
+            reason = f"its worker was lost {RETRIES + 1} times" if lost else " ".join(str(error).split())
             noted = read_status(job)
             status = Status(job.fingerprint, "failed", reason, noted.starts if noted else 0)
             write_status(job, status)
@@ -76,15 +75,13 @@ class Cluster:
 
 
 @contextmanager
-def joined(
-    address: str | None, *, cpus: int, retries: int, at_once: int | None = None, device: str | None = None
-) -> Iterator[Cluster]:
+def joined(address: str | None, *, cpus: int, device: str | None = None) -> Iterator[Cluster]:
     """The Ray cluster at an address; without one, what `RAY_ADDRESS` names or runs on this machine, else one is started
     here and ended with the block.
 
-    cpus: cores a training. device: "cpu" to leave GPUs alone, None for one GPU a training where there are any. at_once:
-    at most so many trainings, None for as many as the cluster has room for. Raises ModuleNotFoundError without Ray,
-    ConnectionError where no cluster answers, ValueError where no machine has so many cores or a GPU.
+    cpus: cores a training. device: "cpu" to leave GPUs alone, None for one GPU a training where there are any. Raises
+    ModuleNotFoundError without Ray, ConnectionError where no cluster answers, ValueError where no machine has so many
+    cores or a GPU.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anybody
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
@@ -106,7 +103,7 @@ def joined(
             for machine in machines
             if machine.get("GPU", 0) >= gpus
         )
-        yield Cluster(cpus, gpus, retries, min(at_once or fits, fits))
+        yield Cluster(cpus, gpus, fits)
     finally:
         ray.shutdown()
 

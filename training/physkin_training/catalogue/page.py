@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from tabulate import tabulate
 
 from physkin_training.catalogue.garment_run import LOG, PICTURE
 from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
-from physkin_training.fit_garment.fit_garment import FIGURES, FIRST
+from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT
 from physkin_training.fit_garment.report import badge, html_page
 
 __all__ = ["write_page"]
@@ -37,7 +36,7 @@ COLOURS = {
     "bad": "refused",
 }
 """State or verdict -> outcome of a check that has its colour."""
-PICTURES = {PICTURE: "jpeg", FIRST: "png", "placement.png": "png"}
+PICTURES = {PICTURE: "jpeg", FIRST: "png", PLACEMENT: "png"}
 """In a garment's folder, the best first, and its format."""
 WIDTH = 300
 SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
@@ -49,13 +48,11 @@ def write_page(path: Path, jobs: Sequence[Job], *, refresh: int = 0) -> None:
     counts = Counter(status.state if status else "waiting" for status in statuses.values())
     said = ", ".join(f"{count} {state}" for state, count in counts.items())
     rows = [_row(job, status) for job, status in statuses.items()]
-    parts = [
-        f"<h1>{len(jobs)} garments</h1><p>{said}.</p>",
-        tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True),
-    ]
+    table = tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True)
+    body = f"<h1>{len(jobs)} garments</h1><p>{said}.</p>\n{table}"
     head = f'<meta http-equiv="refresh" content="{refresh}">' if refresh else ""
     partial = path.with_suffix(".partial")
-    partial.write_text(html_page(f"{len(jobs)} garments", parts, head=head), encoding="utf-8")
+    partial.write_text(html_page(f"{len(jobs)} garments", body, head=head), encoding="utf-8")
     partial.replace(path)
 
 
@@ -65,7 +62,7 @@ def _row(job: Job, status: Status | None) -> list[str]:
     if state == "finished":
         name = f'<a href="{job.output.with_suffix(".html").name}">{name}</a>'
     verdict = status.check["verdict"] if status and status.check else state
-    found = _read(job.folder / FIGURES) if state == "finished" else {}
+    found = (status.fitted if status else None) or {}
     cells = [
         _picture(job) if status else "",
         name,
@@ -73,16 +70,12 @@ def _row(job: Job, status: Status | None) -> list[str]:
         _on_avatar(status.check) if status and status.check else "",
         _held_out(found["figures"]) if found else "",
         _training(job, status, found) if status else "",
-        _mesh(found["checks"]) if found else "",
+        _mesh(found["verdicts"]) if found else "",
     ]
     if state == "failed":
         log = f'<a href="{job.folder.name}/{LOG}">log</a>'
         cells[3] = f"{html.escape(status.reason)} ({log})"
     return cells
-
-
-def _read(path: Path) -> dict:
-    return json.loads(path.read_text()) if path.exists() else {}
 
 
 def _picture(job: Job) -> str:
@@ -95,14 +88,9 @@ def _picture(job: Job) -> str:
 
 
 def _on_avatar(check: dict) -> str:
-    everyday, rest = check["everyday"], check["rest"]
-    return _lines(
-        [
-            f"edges {everyday['edge_strain_percent']:.1f} %",
-            f"inside {everyday['inside_percent']:.2f} %, {everyday['deepest_mm']:.0f} mm deep",
-            f"inside at rest {rest['inside_percent']:.2f} %",
-        ]
-    )
+    inside = "inside {inside_percent:.2f} %, {deepest_mm:.0f} mm deep".format(**check["everyday"])
+    edges = "edges {edge_strain_percent:.1f} %".format(**check["everyday"])
+    return _lines([edges, inside, "inside at rest {inside_percent:.2f} %".format(**check["rest"])])
 
 
 def _held_out(figures: dict) -> str:

@@ -7,34 +7,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from physkin_core.mesh.mesh_file import SUFFIXES
 from physkin_training.config import load_config
+from physkin_training.fit_garment.fit_garment import CONFIG
+from physkin_training.fit_garment.settings import FitSettings
 from physkin_training.fit_garment.sewn_mesh import PATTERN_SUFFIX
 from physkin_training.train.checkpoint import checkpoint_step
+from physkin_training.train.run import CHECKPOINT
 
-__all__ = [
-    "CHECKPOINT",
-    "CatalogueError",
-    "Job",
-    "Stage",
-    "Status",
-    "find_jobs",
-    "read_status",
-    "stage",
-    "steps_taken",
-    "write_status",
-]
+__all__ = ["CatalogueError", "Job", "Status", "find_jobs", "read_status", "stage", "steps_taken", "write_status"]
 
 RECIPE_SUFFIX = ".toml"
 ALLOWED = (*SUFFIXES, PATTERN_SUFFIX)
-STATUS, CHECKPOINT = "status.json", "checkpoint"
-
-Stage = Literal["finished", "resumes", "new"]
+STATUS = "status.json"
 
 
 class CatalogueError(ValueError):
@@ -43,19 +32,13 @@ class CatalogueError(ValueError):
 
 @dataclass(frozen=True)
 class Job:
-    """One garment. mesh: its file, or its pattern's. output: the model file to write. arguments: more of
-    `physkin fit-garment`'s.
-
-    avatar, rig: what it was made on and is looked at on; None for the body of the shipped garments. fingerprint: of all
-    that the model depends on; a job that has another one is trained anew.
-    """
+    """One garment. mesh: its file, or its pattern's. output: the model file to write. fingerprint: of all that the
+    model depends on; a job that has another one is trained anew."""
 
     mesh: Path
     output: Path
-    arguments: tuple[str, ...]
+    settings: FitSettings
     fingerprint: str
-    avatar: str | None = None
-    rig: str | None = None
 
     @property
     def name(self) -> str:
@@ -72,7 +55,8 @@ class Status:
     """How far a job is.
 
     reason: why it failed. starts: how often it was begun or gone on with. resumed_at: steps of the checkpoints that it
-    went on from. check: of the trained garment on the avatar, as `physkin check --json` has it.
+    went on from. check: of the trained garment on the avatar, as `physkin check --json` has it. fitted: of the
+    `FittedGarment`, all but the model.
     """
 
     fingerprint: str
@@ -81,27 +65,22 @@ class Status:
     starts: int = 1
     resumed_at: list[int] = field(default_factory=list)
     check: dict | None = None
+    fitted: dict | None = None
 
 
-def find_jobs(
-    folder: Path,
-    output: Path,
-    *,
-    length: Sequence[str] = (),
-    arguments: Sequence[str] = (),
-    recipe: Path | None = None,
-    avatar: str | None = None,
-    rig: str | None = None,
-) -> list[Job]:
-    """A job for each mesh or pattern directly in the folder. A .toml of the same name is its recipe, in place of
-    `recipe`.
+def find_jobs(folder: Path, output: Path, settings: FitSettings) -> list[Job]:
+    """A job for each mesh or pattern directly in the folder. A .toml of the same name is its recipe, in place of the
+    settings'.
 
-    length, arguments: options of `physkin fit-garment`, of length and start of the training, and others; a garment
-    trained with other ones of the former is trained anew. Raises CatalogueError for a folder without any, two of one
-    name, or a .toml that belongs to none.
+    Raises CatalogueError for a folder without any, two of one name, a .toml that belongs to none, and for an avatar,
+    rig or recipe that is not there.
     """
     if not folder.is_dir():
         raise CatalogueError(f"{folder} is not a folder of garment meshes or patterns")
+    given = {name: value and Path(value).resolve() for name, value in _files(settings).items()}
+    for name, path in given.items():
+        if path and not path.is_file():
+            raise CatalogueError(f"--{name} {path}: no such file")
     files = sorted(path for path in folder.iterdir() if path.is_file())
     meshes: dict[str, Path] = {}
     for path in files:
@@ -113,33 +92,29 @@ def find_jobs(
             meshes[path.stem] = path
     if not meshes:
         raise CatalogueError(f"{folder} holds no garment mesh or pattern; allowed: {', '.join(ALLOWED)}")
-    recipes = {path.stem: path for path in files if path.suffix.lower() == RECIPE_SUFFIX}
+    recipes = {path.stem: path.resolve() for path in files if path.suffix.lower() == RECIPE_SUFFIX}
     for name, path in recipes.items():
-        if name not in meshes and not (recipe and recipe.resolve() == path.resolve()):
+        if name not in meshes and path != given["recipe"]:
             raise CatalogueError(f"{path} belongs to no garment: there is no {name}{SUFFIXES[0]} beside it")
-    common = [Path(name) for name in (avatar, rig) if name]
     jobs = []
     for name, mesh in meshes.items():
-        own = recipes.get(name, recipe)
-        more = [*length, *arguments, *(("--recipe", str(own.resolve())) if own else ())]
-        read = [mesh, *common, *([own] if own else [])]
-        jobs.append(
-            Job(
-                mesh.resolve(),
-                (output / f"{name}.safetensors").resolve(),
-                tuple(more),
-                _fingerprint(read, length),
-                avatar=avatar and str(Path(avatar).resolve()),
-                rig=rig and str(Path(rig).resolve()),
-            )
-        )
+        own = given | {"recipe": recipes.get(name, given["recipe"])}
+        texts = {option: str(own[option]) if own[option] else None for option in ("avatar", "rig")}
+        of_job = replace(settings, **texts, recipe=own["recipe"], resume=True)
+        path = (output / f"{name}.safetensors").resolve()
+        jobs.append(Job(mesh.resolve(), path, of_job, _fingerprint(mesh, of_job)))
     return jobs
 
 
-def _fingerprint(files: Sequence[Path], length: Sequence[str]) -> str:
-    digest = hashlib.sha256(json.dumps(list(length)).encode())
-    for path in files:
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+def _files(settings: FitSettings) -> dict[str, str | Path | None]:
+    return {"avatar": settings.avatar, "rig": settings.rig, "recipe": settings.recipe}
+
+
+def _fingerprint(mesh: Path, settings: FitSettings) -> str:
+    chosen = [settings.minutes, settings.steps, settings.start, settings.edge_length]
+    digest = hashlib.sha256(json.dumps(chosen).encode())
+    for path in (mesh, *filter(None, _files(settings).values())):
+        digest.update(hashlib.sha256(Path(path).read_bytes()).digest())
     return digest.hexdigest()
 
 
@@ -160,7 +135,7 @@ def write_status(job: Job, status: Status) -> None:
     partial.replace(job.folder / STATUS)
 
 
-def stage(job: Job) -> Stage:
+def stage(job: Job) -> Literal["finished", "resumes", "new"]:
     """Whether there is nothing left to do, something to go on from, or all to do."""
     status = read_status(job)
     if status is None:
@@ -174,6 +149,6 @@ def steps_taken(job: Job) -> tuple[int, int] | None:
     """Steps that the training has recorded, and of how many; None before the first record."""
     try:
         last = (job.folder / "losses.jsonl").read_text().splitlines()[-1]
-        return json.loads(last)["step"], load_config(job.folder / "config.toml").optimisation.steps
+        return json.loads(last)["step"], load_config(job.folder / CONFIG).optimisation.steps
     except (OSError, ValueError, LookupError):
         return None

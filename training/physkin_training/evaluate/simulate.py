@@ -243,7 +243,7 @@ def _simulate(options: argparse.Namespace) -> int:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(suffixes)}")
     material = Material(**{entry.name: getattr(options, entry.name) for entry in fields(Material)})
     garment = load_garment(options.garment)
-    model = load_garment_model(options.start_from) if options.start_from else plain_model(options.garment)
+    model = load_garment_model(options.start_from) if options.start_from else plain_model(garment)
     body_model = load_body_model()
     if options.avatar:
         avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)

@@ -6,7 +6,7 @@ Dimensions: `n` vertices, `f` faces. Metres, root frame, the body in its canonic
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import MeshFile, write_obj
+from physkin_core.model.garment import Garment, garment_of_mesh
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
@@ -28,7 +29,7 @@ __all__ = ["CheckedGarment", "check_garment", "write_garment"]
 class CheckedGarment:
     """A garment mesh after the checks, vertices (n, 3) [m] on the training template's body, and all verdicts.
 
-    lying: (n, 3) [m], the same vertices on the body it was made on, before they were carried anywhere; in_own_pose:
+    lying: (n, 3) [m], the same vertices on the body it was made on, before they were moved anywhere; in_own_pose:
     that body is held as in its file, otherwise as in the canonical pose. look: what else the file had, its texture
     places being the flat panels where there are any. creases: (c, 2) edges.
     """
@@ -46,6 +47,17 @@ class CheckedGarment:
         """Whether some check found what cannot be repaired."""
         return self.first("refused") is not None
 
+    @property
+    def garment(self) -> Garment:
+        """Exactly what `load_garment` reads from the file that `write_garment` writes."""
+        order = np.lexsort([self.look.material, self.look.part])
+        uv = np.round(self.look.uv[order], 6)
+        return garment_of_mesh(self.vertices, self.faces[order], line_elements=self.creases, uv=uv)
+
+    def moved(self, vertices: np.ndarray) -> CheckedGarment:
+        """With its vertices (n, 3) [m] elsewhere on the training template."""
+        return replace(self, vertices=_as_written(vertices))
+
     def first(self, outcome: str) -> Verdict | None:
         """The first verdict of an outcome, if there is one."""
         return next((verdict for verdict in self.verdicts if verdict.outcome == outcome), None)
@@ -62,7 +74,7 @@ def check_garment(
     """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
-    template: the training template's garment body; a garment made on another body is carried over to it.
+    template: the training template's garment body; a garment made on another body is moved over to it.
     accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
     the garment stays where it lies.
 
@@ -116,7 +128,13 @@ def check_garment(
     if not checks.refused:
         look = check_rest_shape(checks, look.on(source, lying, checks.faces), lying, made)
         creases = creases_along(lying, checks.faces, checks.lines)
-    return CheckedGarment(checks.vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, creases)
+    vertices = _as_written(checks.vertices)
+    return CheckedGarment(vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, creases)
+
+
+def _as_written(vertices: np.ndarray) -> np.ndarray:
+    """Vertices (n, 3) [m] to as many digits as `write_obj` writes: a run that goes on with the file is the same."""
+    return np.round(vertices, 7)
 
 
 def _run(checks: Checks, steps: list[Callable[[Checks], None]]) -> None:

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.check.garment_check import GarmentCheck, check_garment
-from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, shipped_models
 from physkin_core.outfit.draper import Draper
-from physkin_core.render.filming import dressed_meshes
-from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.fit_garment.verdicts import Verdict
-from physkin_training.networks.carried_model import carried_model
-from physkin_training.networks.likeness import NEAR, Likeness
-from physkin_training.train.fitted_weights import fitted_weights
+from physkin_training.transfer.likeness import NEAR, Likeness
+from physkin_training.transfer.model_transfer import transferred_model
 
 __all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
 
@@ -50,15 +45,12 @@ def chosen_start(garment: Garment, name: str | None) -> tuple[Likeness | None, V
     return None, Verdict(CHECK, "warning", found, NEAR)
 
 
-def first_model(
-    mesh: Path, likeness: Likeness | None, body_model: BodyModel, device: torch.device, *, name: str
-) -> GarmentModel:
-    """The model of a mesh file before training: the nearest garment's, carried over, its mesh laid in that one's folds,
-    and its skinning weights fitted to the mesh; or where there is none, None, one of garment nodes that follow their
-    bones."""
+def first_model(garment: Garment, likeness: Likeness | None, *, name: str) -> GarmentModel:
+    """The model of a garment before training: the nearest garment's, its mesh laid in that one's folds; or where there
+    is none, one of garment nodes that follow their bones."""
     if likeness is None:
-        return replace(plain_model(mesh), name=name)
-    return fitted_weights(carried_model(likeness.model, load_garment(mesh), name=name), body_model, device)
+        return plain_model(garment, name=name)
+    return transferred_model(likeness.model, garment, name=name)
 
 
 def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
@@ -66,7 +58,7 @@ def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
     moved = np.linalg.norm(model.garment.vertices - garment.vertices, axis=1)
     edges = np.abs(model.garment.edge_lengths / garment.edge_lengths - 1)
     found = (
-        f"laid in the folds of {model.training['carried_from']}: vertices moved by {1e3 * moved.mean():.0f} mm on "
+        f"laid in the folds of {model.training['transferred_from']}: vertices moved by {1e3 * moved.mean():.0f} mm on "
         f"average, rest edges changed by {100 * edges.mean():.1f} %"
     )
     return Verdict("folds", "repaired", found, "those of the garment that training begins with")
@@ -100,16 +92,6 @@ class FirstLook:
             f"{trust}. In everyday poses on {len(self.checks)} bodies edges strain by {self.strain:.1f} % (trained "
             f"garments 1 to 4 %), {self.inside:.1f} % of the cloth is inside the body"
         )
-
-    def picture(self) -> list[np.ndarray]:
-        """Front and back in an everyday pose."""
-        from physkin_training.fit_garment.report import front_and_back
-
-        poses, _ = chosen_poses(self.draper.model.rig, count=2, seed=0)
-        positions, gravity = poses.positions[1].numpy(), poses.gravity[1].numpy()
-        outfit = self.draper.outfit
-        cloth = self.draper.drape(positions, gravity)[:, :3]
-        return front_and_back(dressed_meshes(outfit, outfit.posed_body(positions), [cloth]))
 
 
 def first_look(model: GarmentModel, avatar: Avatar, body_model: BodyModel) -> FirstLook:

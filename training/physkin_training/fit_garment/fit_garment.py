@@ -8,12 +8,12 @@ the minutes given.
 from __future__ import annotations
 
 import argparse
-import json
 import logging
-import math
-import shutil
+import re
 import sys
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -22,294 +22,309 @@ from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel, load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.mesh.mesh_file import read_mesh
-from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model, save_garment_model
+from physkin_core.model.model_file import save_garment_model
 from physkin_core.outfit.outfit_options import print_warnings
-from physkin_core.picture import PictureError, contact_sheet, save_png
-from physkin_training.config import TrainingConfig, as_toml, load_config
+from physkin_core.picture import PictureError, save_png
+from physkin_training.config import as_toml, load_config
+from physkin_training.devices import DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.first_model import chosen_start, first_look, first_model, folds_verdict
-from physkin_training.fit_garment.options import ADVICE, DEFAULT_MINUTES, FEWEST_STEPS, checked_device, command_parser
 from physkin_training.fit_garment.own_pose import OwnPose
+from physkin_training.fit_garment.pictures import in_motion, placement_picture
 from physkin_training.fit_garment.recipe import (
     LEARNING,
     SIMULATING,
-    STEPS_A_SECOND,
     default_recipe,
     has_sizes_of,
-    in_a_hurry,
     learns_sway,
     started_from,
     with_own_sway,
 )
-from physkin_training.fit_garment.report import placement_picture, write_report
+from physkin_training.fit_garment.report import write_report
+from physkin_training.fit_garment.settings import FitSettings, add_fit_options
 from physkin_training.fit_garment.sewn_mesh import EDGE_LENGTH, PATTERN_SUFFIX, sewn_mesh
-from physkin_training.fit_garment.training_record import longer_or_not, read_losses, recorded_seconds, undertrained
-from physkin_training.fit_garment.verdicts import in_lines
+from physkin_training.fit_garment.training_record import TrainingRecord
+from physkin_training.fit_garment.training_time import plan_steps, seconds_for_training
+from physkin_training.fit_garment.verdicts import Verdict, in_lines
+from physkin_training.networks.export import ExportError
 from physkin_training.time_budget import TimeBudget
-from physkin_training.train import train
 from physkin_training.train.checkpoint import checkpoint_step
-from physkin_training.train.trainer import Trainer
+from physkin_training.train.fitted_weights import fitted_weights
+from physkin_training.train.run import CHECKPOINT, trained_model
+from physkin_training.train.trainer import Trainer, TrainingDiverged
 
-__all__ = ["FIGURES", "FIRST", "main", "trainer_in_time"]
+__all__ = [
+    "CONFIG",
+    "FIRST",
+    "PLACEMENT",
+    "FittedGarment",
+    "GarmentRefused",
+    "command_parser",
+    "fit_garment",
+    "log_progress",
+    "main",
+]
 
 log = logging.getLogger(__name__)
-REST, LONGEST_REST = 0.25, 150.0
-"""Time kept for what follows training: share of all, and seconds at most. The report draws and measures less where that
-is too little."""
-MEASURING = 0.1
-"""Share of the time in which steps are timed."""
-FEWEST_SECONDS = 10.0
-"""Of training, where a length is advised."""
 LEAST_TRAINING = 3.0
 """[s] Of training, however little time is left: of a start from a shipped garment most is learnt in it on a GPU."""
-OFTEN = {"cuda": 10, "cpu": 1}
-"""Steps from one line of the record to the next, at least."""
-FIRST, START = "first.png", "start.safetensors"
-"""In the run's folder: a picture of the model before training, and the model."""
-REFUSED = 1
-FIGURES = "figures.json"
-"""In the run's folder: `seconds` of training, `checks`, `figures` as of `physkin evaluate --json`, `advice`."""
+CONFIG, START, FIRST, PLACEMENT = "config.toml", "start.safetensors", "first.png", "placement.png"
+"""In the run's folder: what `--resume` goes on with, and the model that training begins with; pictures of that and of
+where the mesh lies."""
 
 
-def trainer_in_time(config: TrainingConfig, device: torch.device, budget: TimeBudget, *, after: float = 0.0) -> Trainer:
-    """A trainer of as many steps as leave time in the budget for export and report (see `REST`), and for what takes so
-    many seconds after training. Real steps are timed for it, but for one in a hurry: it plans for some, and training
-    leaves out what there is no time for.
+class GarmentRefused(Exception):
+    """A mesh cannot be trained as a garment, or its place on the avatar is in doubt."""
 
-    Raises ValueError when they are too few to learn anything.
+
+@dataclass(frozen=True)
+class FittedGarment:
+    """A trained garment.
+
+    verdicts: of the checks. figures: as of `physkin evaluate --json`. advice: whether to train longer, in words.
+    undertrained: what is to be said of a model that has not learnt enough to be used, "" of one that has. seconds: of
+    training, with all times that it was resumed.
     """
-    trainer = Trainer(config, device)
-    seconds = _for_training(budget, after)
-    if in_a_hurry(device, budget.seconds):
-        steps = max(FEWEST_STEPS, int(STEPS_A_SECOND * seconds))
-        trainer.config = replace(config, optimisation=replace(config.optimisation, steps=steps))
-        log.info("%.0f s are left for training: %d steps, or as many as that time allows", max(seconds, 0.0), steps)
-        return trainer
-    minutes = f"{budget.seconds / 60:g} minutes in all"
-    if seconds <= 0:
-        raise ValueError(
-            f"{minutes} are too few: {budget.spent:.0f} s went by before training, and "
-            f"{budget.left - seconds:.0f} s are kept for {'sway, ' if after else ''}export and report: {ADVICE}, of "
-            f"--minutes about {math.ceil((budget.spent + FEWEST_SECONDS + after) / (1 - REST) / 60)}"
-        )
-    try:
-        rate = trainer.choose_steps(seconds)
-    except ValueError as error:
-        raise ValueError(f"{minutes} leave {seconds:.0f} s for training, and {error}: {ADVICE}") from error
-    steps = trainer.config.optimisation.steps
-    if steps < FEWEST_STEPS:
-        missing = (FEWEST_STEPS - steps) / rate / (1 - REST - MEASURING)
-        raise ValueError(
-            f"{minutes} are only {steps} steps of {1 / rate:.2f} s here, at least {FEWEST_STEPS} are needed: {ADVICE}, "
-            f"of --minutes about {math.ceil((budget.seconds + missing) / 60)}"
-        )
-    log.info("%d steps of %.0f ms in %s, export and report included", steps, 1000 / rate, minutes)
-    return trainer
 
-
-def _for_training(budget: TimeBudget, after: float) -> float:
-    """Seconds for training. after: [s] kept for what follows it beside export and report."""
-    return budget.left - min(REST * budget.seconds, LONGEST_REST) - after
+    model: GarmentModel
+    verdicts: tuple[Verdict, ...]
+    figures: dict
+    advice: str
+    undertrained: str
+    seconds: float
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails; 2 for an error;
-    130 for Ctrl-C."""
+    """Command line entry. Returns 0; 1 when the mesh is refused, its place in doubt or training fails. Raises
+    ValueError or OSError for bad input, KeyboardInterrupt for Ctrl-C."""
     options = command_parser().parse_args(argv)
-    logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    logging.getLogger("physkin_training").setLevel(logging.INFO)  # not each body that the garment is put on
+    log_progress()
     try:
-        return _fit(options)
-    except (ValueError, OSError) as error:
+        fitted = fit_garment(options.garment, options.output, FitSettings.of(options))
+    except (GarmentRefused, TrainingDiverged, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return 1
+    if fitted and fitted.undertrained:
+        print(f"{options.output} is undertrained. {fitted.undertrained}", file=sys.stderr)
+    return 0
 
 
-def _fit(options: argparse.Namespace) -> int:
-    output: Path = options.output
-    device = checked_device(options)
-    minutes = math.inf if options.steps else options.minutes or DEFAULT_MINUTES[device.type]
-    budget = TimeBudget(minutes)
+def log_progress() -> None:
+    """What training says goes to standard error, but nothing of each body that the garment is put on."""
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    logging.getLogger("physkin_training").setLevel(logging.INFO)
+
+
+def command_parser() -> argparse.ArgumentParser:
+    description = "Check, repair and train a garment mesh or a sewing pattern of your own, and write a report."
+    parser = argparse.ArgumentParser(prog="physkin fit-garment", description=description)
+    parser.add_argument(
+        "garment", type=Path, help="garment mesh: OBJ, PLY, STL, OFF, GLB or glTF; or a sewing pattern: JSON"
+    )
+    parser.add_argument(
+        *("-o", "--output"),
+        type=Path,
+        required=True,
+        metavar="NAME.safetensors",
+        help="garment model to write; NAME.html is the report, and all else goes into the folder NAME",
+    )
+    add_fit_options(parser)
+    parser.add_argument(
+        "--check-only",
+        action="store_true",
+        help="stop after the checks: print the verdicts, write the repaired mesh and a picture",
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="continue from the checkpoint of a stopped run, if there is one, with its steps and recipe",
+    )
+    parser.add_argument("--device", help=DEVICE_HELP)
+    return parser
+
+
+def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarment | None:
+    """Make a garment model of a mesh or a sewing pattern.
+
+    Args:
+        source: mesh file or pattern.
+        output: NAME.safetensors, the model: before training the first one, later the trained one. NAME.html is the
+            report; the folder NAME gets the repaired mesh and what is needed to go on after a stop.
+        settings: everything else.
+
+    Returns:
+        The garment; None where it was only checked.
+
+    Raises:
+        GarmentRefused: with what was found and what is allowed.
+        ValueError: for files and settings that cannot be used.
+        TrainingDiverged, ExportError: when training fails.
+        KeyboardInterrupt: for Ctrl-C, after a checkpoint.
+    """
+    if output.suffix != ".safetensors" or not re.fullmatch(r"\w[\w. -]*", output.stem):
+        raise ValueError(f"cannot write {output}: the name must be a plain one that ends in .safetensors")
+    device = resolve_device(settings.device)
+    budget, folder = TimeBudget(settings.time_on(device)), output.with_suffix("")
     body_model = load_body_model()
     template = avatar_from_body(body_model, body_model.garment_body)
-    avatar, own = _avatar(options, body_model, template)
-    pattern = options.garment.suffix.lower() == PATTERN_SUFFIX
-    if options.edge_length is not None and not pattern:
-        raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {options.garment} is a mesh")
+    avatar = _avatar(settings, body_model) if settings.avatar else template
+    pattern = source.suffix.lower() == PATTERN_SUFFIX
+    if settings.edge_length is not None and not pattern:
+        raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {source} is a mesh")
     if pattern:
-        edge_length = EDGE_LENGTH if options.edge_length is None else options.edge_length
-        mesh, own = sewn_mesh(options.garment, avatar, body_model.rig, edge_length=edge_length, device=device), None
+        mesh = sewn_mesh(source, avatar, body_model.rig, edge_length=settings.edge_length or EDGE_LENGTH, device=device)
     else:
-        mesh = read_mesh(options.garment)
-    checked = check_garment(mesh, avatar, template, own=own, accept_placement=options.accept_placement)
-    if checked.refused:
-        refused = checked.first("refused")
-        print(in_lines([verdict for verdict in checked.verdicts if verdict is not refused]))
-        print(
-            f"error: {options.garment} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}",
-            file=sys.stderr,
-        )
-        return REFUSED
-    folder = output.with_suffix("")
-    folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / "placement.png"
-    unsure = checked.first("unsure")
-    if unsure and not options.accept_placement:
-        print(in_lines(checked.verdicts))
-        _draw(picture, checked, avatar, None, own)
-        print(
-            f"error: {options.garment}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one "
-            f"scene, with one origin, unit and up axis; or, if {picture} is right, --accept-placement",
-            file=sys.stderr,
-        )
-        return REFUSED
-    mesh = folder / "garment.obj"
-    write_garment(mesh, checked)
-    garment = load_garment(mesh)
-    likeness, verdict = chosen_start(garment, getattr(options, "from"))
+        mesh = read_mesh(source)
+    own = None if pattern or not settings.avatar else OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
+    checked = check_garment(mesh, avatar, template, own=own, accept_placement=settings.accept_placement)
+    place = partial(_draw_placement, folder / PLACEMENT, avatar=avatar, own=own)
+    _refuse(source, checked, settings, place)
+    likeness, verdict = chosen_start(checked.garment, settings.start)
     checked = replace(checked, verdicts=(*checked.verdicts, verdict))
     print(in_lines(checked.verdicts))
     if verdict.outcome == "ok":
         print(f"{verdict.check}: {verdict.found}")
-    kept = f" with {checked.look}" if str(checked.look) else ""
-    print(f"wrote {mesh}{kept}")
-    if unsure or options.check_only:
-        _draw(picture, checked, avatar, template, own)
-    if options.check_only:
-        return 0
-    model = first_model(mesh, likeness, body_model, device, name=output.stem)
+    if settings.check_only or checked.first("unsure"):
+        place(checked, template)
+    if settings.check_only:
+        _write_mesh(folder, checked)
+        return None
+    model = first_model(checked.garment, likeness, name=output.stem)
     if likeness is not None:
-        folds = folds_verdict(garment, model)
-        print(f"{mesh}: {folds.found}")
-        checked = replace(checked, vertices=model.garment.vertices, verdicts=(*checked.verdicts, folds))
-        write_garment(mesh, checked)
-    return _train_and_report(options, checked, mesh, model, template, avatar, device, budget)
+        folds = folds_verdict(checked.garment, model)
+        print(f"{folds.check}: {folds.found}")
+        checked = replace(checked.moved(model.garment.vertices), verdicts=(*checked.verdicts, folds))
+    record = TrainingRecord(folder / "losses.jsonl")
+    trainer = _resumed(checked, folder, device) if settings.resume else None
+    resumed = trainer is not None
+    if not resumed:
+        record.path.unlink(missing_ok=True)
+        trainer = _begun(settings, checked, model, output, device, budget, avatar)
+    start, earlier = trainer.start, record.seconds
+    after = SIMULATING + LEARNING if learns_sway(start, model, device, seconds=budget.seconds) else 0.0
+    if resumed:
+        budget = TimeBudget()
+    else:
+        if not settings.steps:
+            plan_steps(trainer, budget, after=after)
+        (folder / CONFIG).write_text(as_toml(trainer.config))
+    began = budget.spent
+    within = max(seconds_for_training(budget, after), LEAST_TRAINING)
+    often = settings.checkpoint_every
+    trained = trained_model(trainer, folder, output, within=within, checkpoint_every=often, shown=True)
+    del trainer  # the report needs its memory
+    seconds, sway = earlier + budget.spent - began, ""
+    if after:
+        within = max(seconds_for_training(budget, LEARNING), SIMULATING)
+        trained, sway = with_own_sway(trained, device, within=within)
+        print(sway)
+        save_garment_model(trained, output)
+    worn = avatar if settings.avatar else None
+    sizes = {"bodies": settings.bodies, "poses": settings.poses}
+    figures = write_report(
+        output, trained, checked, template, worn, device, budget, record=record, sway=sway, seconds=seconds, **sizes
+    )
+    print(f"wrote {output} and {output.with_suffix('.html')}, {budget.spent / 60:.1f} minutes in all")
+    undertrained = record.undertrained(figures, begun=start is not None)
+    advice = f"Undertrained. {undertrained}" if undertrained else record.longer_or_not()
+    return FittedGarment(trained, checked.verdicts, figures, advice, undertrained, seconds)
 
 
-def _draw(path: Path, checked: CheckedGarment, avatar: Avatar, template: Avatar | None, own: OwnPose | None) -> None:
+def _avatar(settings: FitSettings, body_model: BodyModel) -> Avatar:
+    """The avatar that the garment was made on, in the canonical pose."""
+    avatar = load_avatar(settings.avatar, body_model.rig, rig_file=settings.rig)
+    print_warnings(avatar.warnings)
+    return avatar
+
+
+def _refuse(
+    source: Path, checked: CheckedGarment, settings: FitSettings, place: Callable[[CheckedGarment, None], Path]
+) -> None:
+    """Raises GarmentRefused for a garment that is, and for one whose place is in doubt, which `place` draws."""
+    if refused := checked.first("refused"):
+        print(in_lines([verdict for verdict in checked.verdicts if verdict is not refused]))
+        raise GarmentRefused(
+            f"{source} cannot be trained: {refused.check}: {refused.found}; allowed: {refused.allowed}"
+        )
+    unsure = checked.first("unsure")
+    if unsure and not settings.accept_placement:
+        print(in_lines(checked.verdicts))
+        picture = place(checked, None)
+        raise GarmentRefused(
+            f"{source}: {unsure.check} is in doubt: {unsure.found}. Export garment and avatar from one scene, with one "
+            f"origin, unit and up axis; or, if {picture} is right, --accept-placement"
+        )
+
+
+def _draw_placement(
+    path: Path, checked: CheckedGarment, template: Avatar | None, *, avatar: Avatar, own: OwnPose | None
+) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
         save_png(path, placement_picture(checked, avatar, template, own))
         print(f"wrote {path}: look whether front, height and sleeves are right")
     except PictureError as error:
         print(f"no picture: {error}")
+    return path
 
 
-def _avatar(options: argparse.Namespace, body_model: BodyModel, template: Avatar) -> tuple[Avatar, OwnPose | None]:
-    """The body that the garment was made on, in the canonical pose, and in its own where a file was given."""
-    if not options.avatar:
-        return template, None
-    avatar = load_avatar(options.avatar, body_model.rig, rig_file=options.rig)
-    print_warnings(avatar.warnings)
-    return avatar, OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
+def _write_mesh(folder: Path, checked: CheckedGarment) -> Path:
+    """Write the repaired mesh into the folder."""
+    path = folder / "garment.obj"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_garment(path, checked)
+    print(f"wrote {path}" + (f" with {checked.look}" if str(checked.look) else ""))
+    return path
 
 
-def _train_and_report(
-    options: argparse.Namespace,
+def _resumed(checked: CheckedGarment, folder: Path, device: torch.device) -> Trainer | None:
+    """A trainer that goes on from what a stopped run left in its folder; None where there is nothing."""
+    checkpoint, configuration = folder / CHECKPOINT, folder / CONFIG
+    if not configuration.exists() or checkpoint_step(checkpoint) is None:
+        return None
+    trainer = Trainer(load_config(configuration), device, garment=checked.garment)
+    trainer.resume(checkpoint)
+    return trainer
+
+
+def _begun(
+    settings: FitSettings,
     checked: CheckedGarment,
-    mesh: Path,
     model: GarmentModel,
-    template: Avatar,
-    avatar: Avatar,
+    output: Path,
     device: torch.device,
     budget: TimeBudget,
-) -> int:
-    output, folder = options.output, mesh.parent
-    configuration, losses, checkpoint = folder / "config.toml", folder / "losses.jsonl", folder / "checkpoint"
-    resumed = options.resume and configuration.exists() and checkpoint_step(checkpoint) is not None
-    if resumed:
-        config = load_config(configuration)
-    else:
-        _show_first(options, mesh, model, avatar)
-        config = _configuration(options, mesh, model, device, budget)
-    sways = learns_sway(config, model, device, seconds=budget.seconds)
-    after = SIMULATING + LEARNING if sways else 0.0
-    if resumed:
-        trainer, earlier, budget = None, recorded_seconds(losses), TimeBudget()
-    else:
-        trainer = None if options.steps else trainer_in_time(config, device, budget, after=after)
-        config, earlier = trainer.config if trainer else config, 0.0
-        configuration.write_text(as_toml(config))
-        losses.unlink(missing_ok=True)
-    began = budget.spent
-    arguments = ["--config", str(configuration), "--output", str(folder), "--device", options.device]
-    often = OFTEN[device.type]
-    arguments += ["--log-every", str(max(often, min(200, config.optimisation.steps // 200)))]
-    arguments += ["--checkpoint-every", str(options.checkpoint_every)]
-    arguments += ["--resume", str(checkpoint)] if resumed else []
-    within = max(_for_training(budget, after), LEAST_TRAINING)
-    status = train.main(arguments, within=within, shown=output, trainer=trainer)
-    del trainer  # the report needs its memory
-    if status:
-        return status
-    seconds = earlier + budget.spent - began
-    (folder / f"{config.name}.safetensors").replace(output)
-    trained, sway = load_garment_model(output), ""
-    if sways:
-        within = max(_for_training(budget, LEARNING), SIMULATING)
-        trained, sway = with_own_sway(trained, device, within=within)
-        print(sway)
-        save_garment_model(trained, output)
-    report = output.with_suffix(".html")
-    scores = write_report(
-        report,
-        trained,
-        checked,
-        template,
-        avatar if options.avatar else None,
-        device,
-        budget,
-        losses=losses,
-        sway=sway,
-        seconds=seconds,
-        bodies=options.bodies,
-        poses=options.poses,
-    )
-    found = {"seconds": seconds, "checks": [vars(verdict) for verdict in checked.verdicts]}
-    rows = read_losses(losses)
-    too_short = undertrained(scores, rows[-1]["step"], begun=config.start is not None)
-    advice = f"Undertrained. {too_short}" if too_short else longer_or_not(rows)
-    found |= {"figures": scores, "advice": advice}
-    (folder / FIGURES).write_text(json.dumps(found, indent=1))
-    print(f"wrote {output} and {report}, {budget.spent / 60:.1f} minutes in all")
-    if too_short:
-        print(f"{output} is undertrained. {too_short}", file=sys.stderr)
-    return 0
-
-
-def _show_first(options: argparse.Namespace, mesh: Path, model: GarmentModel, avatar: Avatar) -> None:
-    """Write what can be worn before training, and a picture of it; says how good it is."""
-    output, picture = options.output, mesh.with_name(FIRST)
-    save_garment_model(model, output)
-    look = first_look(model, avatar, load_body_model())
-    print(f"wrote {output}, to be worn while it trains: {look}")
-    try:
-        save_png(picture, contact_sheet(look.picture(), columns=2))
-        print(f"wrote {picture}")
-    except PictureError as error:
-        print(f"no picture: {error}")
-
-
-def _configuration(
-    options: argparse.Namespace, mesh: Path, start: GarmentModel, device: torch.device, budget: TimeBudget
-) -> TrainingConfig:
-    """Of a new run: the recipe, with as many steps as were asked for."""
-    name = options.output.stem
-    if options.recipe:
-        recipe = load_config(options.recipe, name=name, garment=mesh)
+    avatar: Avatar,
+) -> Trainer:
+    """A trainer before its first step. What can be worn before training is written as `output`, and what a run is
+    resumed with into the folder. model: the first one, which training begins with where it has the recipe's sizes."""
+    folder, body_model, name = output.with_suffix(""), load_body_model(), output.stem
+    mesh = _write_mesh(folder, checked)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    if settings.recipe:
+        recipe = load_config(settings.recipe, name=name, garment=mesh)
     else:
         recipe = default_recipe(name, mesh, device, seconds=budget.seconds)
-    carried = "carried_from" in start.training
-    if carried and has_sizes_of(recipe, start):
-        beside = mesh.with_name(START)
-        shutil.copyfile(options.output, beside)  # as `_show_first` wrote it
-        recipe = started_from(recipe, beside)
-    elif carried:
-        log.warning("training begins with nothing: %s has other sizes than %s", options.recipe, start.name)
-    if not options.steps:
-        return recipe
-    return replace(recipe, optimisation=replace(recipe.optimisation, steps=options.steps))
+    start = None
+    if "transferred_from" in model.training:
+        model = fitted_weights(model, body_model, device)
+        if has_sizes_of(recipe, model):
+            start, recipe = model, started_from(recipe, folder / START)
+            save_garment_model(start, recipe.start)
+        else:
+            log.warning("training begins with nothing: %s has other sizes than %s", settings.recipe, model.name)
+    save_garment_model(model, output)
+    look = first_look(model, avatar, body_model)
+    print(f"wrote {output}, to be worn while it trains: {look}")
+    try:
+        save_png(folder / FIRST, in_motion(look.draper))
+        print(f"wrote {folder / FIRST}")
+    except PictureError as error:
+        print(f"no picture: {error}")
+    if settings.steps:
+        recipe = replace(recipe, optimisation=replace(recipe.optimisation, steps=settings.steps))
+    return Trainer(recipe, device, garment=checked.garment, start=start)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.sampling.posed_bodies import posed_avatar
 
-__all__ = ["CLEARANCE", "carried", "clear_of"]
+__all__ = ["CLEARANCE", "clear_of", "onto_body"]
 
 CLEARANCE = 0.0035
 """[m] a garment at rest keeps from the body, beyond the 3 mm contact offset of training."""
@@ -31,7 +31,7 @@ NEAREST = 16
 """Body vertices from which a garment vertex takes its bones."""
 
 
-def carried(vertices: np.ndarray, source: Avatar, target: Avatar) -> np.ndarray:
+def onto_body(vertices: np.ndarray, source: Avatar, target: Avatar) -> np.ndarray:
     """Vertices (n, 3) made on one body, on another: each follows the bones of the body parts nearest to it.
 
     By every bone as garment nodes are carried (offset from its head, scaled by the ratio of bone lengths); mixed by the

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from physkin_core.model.garment import vertex_normals
+from physkin_core.model.surface_paths import mesh_edges, openings
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
 from physkin_training.physics.surface_queries import BodySurface, layers_near, piercing_edges
@@ -114,16 +115,16 @@ def check_openings(checks: Checks) -> None:
         f"at least one opening; boundaries shorter than {100 * SMALL_LOOP:g} cm, or whose cloth faces one way all "
         f"around, are holes: up to {100 * MOST_MISSING:g} % of the area"
     )
-    openings, holes = openings_and_holes(checks.vertices, checks.faces)
-    if not openings:
+    into, holes = openings_and_holes(checks.vertices, checks.faces)
+    if not into:
         found = f"{len(holes)} holes only" if holes else "it is closed"
         if (flat := _flat_pieces(checks.mesh)) > 1:
             found = f"{flat} flat pieces that are not sewn together (give a sewing pattern as GarmentCode's JSON)"
         return checks.say("openings", "refused", f"{found}: no opening to get into it", allowed)
-    found = f"{len(openings)} openings"
+    found = f"{len(into)} openings"
     if not holes:
         return checks.say("openings", "ok", found, allowed)
-    missing = sum(_area_inside(checks.vertices[hole]) for hole in holes)
+    missing = sum(_area_inside(checks, hole) for hole in holes)
     missing /= missing + checks.mesh.area
     found += f", {len(holes)} holes, {100 * missing:.1f} % of the area"
     if missing > MOST_MISSING:
@@ -132,14 +133,15 @@ def check_openings(checks: Checks) -> None:
 
 
 def openings_and_holes(vertices: np.ndarray, faces: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The boundary loops (r,) of a mesh wound alike: those that a body part goes through, and the others."""
-    openings, holes = [], []
+    """Vertices (r,) of boundary loops of a mesh wound alike: of those that a body part goes through, and of holes."""
     normals = vertex_normals(vertices, faces)
-    for loop in mesh_repair.boundary_loops(faces):
+
+    def is_hole(loop: np.ndarray) -> bool:
         around = float(np.ptp(vertices[loop], axis=0).max()) * np.pi
-        one_way = float(np.linalg.norm(normals[loop].mean(axis=0)))
-        (holes if around < SMALL_LOOP or one_way > ONE_WAY else openings).append(loop)
-    return openings, holes
+        return around < SMALL_LOOP or float(np.linalg.norm(normals[loop].mean(axis=0))) > ONE_WAY
+
+    loops = openings(vertices, faces)
+    return [loop for loop in loops if not is_hole(loop)], [loop for loop in loops if is_hole(loop)]
 
 
 def _flat_pieces(mesh: trimesh.Trimesh) -> int:
@@ -150,10 +152,11 @@ def _flat_pieces(mesh: trimesh.Trimesh) -> int:
     return len(one_way) if one_way.min() > FLAT else 0
 
 
-def _area_inside(loop: np.ndarray) -> float:
-    """Area [m2] of the faces between the points (r, 3) of a loop and their mean."""
-    spokes = loop - loop.mean(axis=0)
-    return float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum() / 2)
+def _area_inside(checks: Checks, loop: np.ndarray) -> float:
+    """Area [m2] of the triangles between the edges of a boundary loop, vertices (r,), and its middle."""
+    edges, count = mesh_edges(checks.faces)
+    rim = checks.vertices[edges[(count == 1) & np.isin(edges[:, 0], loop)]] - checks.vertices[loop].mean(axis=0)
+    return float(np.linalg.norm(np.cross(rim[:, 0], rim[:, 1]), axis=1).sum() / 2)
 
 
 def check_edges(checks: Checks) -> None:

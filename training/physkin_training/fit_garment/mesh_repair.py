@@ -1,4 +1,4 @@
-"""Repairs of a triangle mesh that change no shape: weld, drop, split, wind. And its boundary.
+"""Repairs of a triangle mesh that change no shape: weld, drop, split, wind.
 
 Dimensions: `n` vertices, `f` faces. Counter-clockwise is outside.
 """
@@ -12,7 +12,6 @@ from trimesh.graph import connected_component_labels, face_adjacency
 from trimesh.triangles import area
 
 __all__ = [
-    "boundary_loops",
     "compacted",
     "drop_crowded_faces",
     "drop_empty_faces",
@@ -98,24 +97,3 @@ def wind_consistently(faces: np.ndarray) -> tuple[np.ndarray, int, bool]:
     kept = np.bincount(as_it_is, minlength=2 * f)
     turn = (kept[as_it_is] < kept[turned]) | (kept[as_it_is] == kept[turned]) & (as_it_is > turned)
     return np.where(turn[:, None], faces[:, ::-1], faces), int(turn.sum()), not (as_it_is == turned).any()
-
-
-def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
-    """The boundary loops of faces wound alike as vertex indices (r,), each in the winding order of its triangles.
-
-    Raises ValueError if a vertex lies on two stretches of boundary.
-    """
-    known = set(map(tuple, faces_to_edges(faces).tolist()))
-    boundary = [(start, end) for start, end in known if (end, start) not in known]
-    following = dict(sorted(boundary))
-    if len(following) < len(boundary):
-        raise ValueError(f"{len(boundary) - len(following)} vertices lie on two stretches of boundary")
-    loops = []
-    while following:
-        first, current = following.popitem()
-        loop = [first]
-        while current != first:
-            loop.append(current)
-            current = following.pop(current)
-        loops.append(np.array(loop))
-    return loops

@@ -13,10 +13,10 @@ from scipy.sparse import coo_array, diags_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
-from trimesh.geometry import faces_to_edges
 
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.model.garment import vertex_normals
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
@@ -99,7 +99,7 @@ class OwnPose:
 def _smooth(weights: np.ndarray, known: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Weights (n, s) of vertices (n, 3), averaged over `SMOOTHING` along the cloth of faces (f, 3). known: (n,), how
     much each counts."""
-    edges = np.unique(np.sort(faces_to_edges(faces), axis=1), axis=0)
+    edges, _ = mesh_edges(faces)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean()
     n, ends = len(vertices), np.concatenate([edges, edges[:, ::-1]])
     joined = coo_array((np.ones(len(ends)), ends.T), shape=(n, n)).tocsr()

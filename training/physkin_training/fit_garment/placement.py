@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -45,6 +44,10 @@ HEIGHT_STEP, FORWARD_STEPS = 0.03, (-0.05, 0.0, 0.05)
 STARTS = 4
 TURNED_HEIGHTS = (-0.2, -0.1, 0.0, 0.1, 0.2)
 """[m] from where a garment that is turned over is settled."""
+READINGS = (
+    ("X", "Z"), ("Z", "Y"), ("-Z", "Y"), ("-Y", "Z"), ("-X", "Z"), ("X", "Y"), ("-X", "Y"), ("Y", "Z"),
+)  # fmt: skip
+"""The file's axes that may be forward and up, the likely ones first."""
 SCALES = (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 
 
@@ -228,20 +231,15 @@ def best_scale(points: np.ndarray, body: BodySurface) -> tuple[float, float, flo
 
 
 def quarter_turns() -> list[np.ndarray]:
-    """Rotations by quarters that take Z or Y up, the likely ones first: as it is, Y up (facing Z, -Z), facing -Y.
+    """Rotations by quarters that take Z or Y up, those of `READINGS`.
 
     Other axes up are not tried: what hangs head down or lies on its side there would be put on by the wrong end.
     """
     turns = []
-    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
-        turn = np.zeros((3, 3))
-        turn[range(3), order] = signs
-        if np.linalg.det(turn) > 0 and _axis(turn[2]) in ("Y", "Z"):
-            turns.append(turn)
-    likely = [("X", "Z"), ("Z", "Y"), ("-Z", "Y"), ("-Y", "Z")]
-    names = [(_axis(turn[0]), _axis(turn[2])) for turn in turns]
-    ranks = [likely.index(name) if name in likely else len(likely) for name in names]
-    return [turns[index] for index in np.argsort(ranks, kind="stable")]
+    for forward, up in READINGS:
+        x, z = (np.eye(3)["XYZ".index(name[-1])] * (-1 if name[0] == "-" else 1) for name in (forward, up))
+        turns.append(np.stack([x, np.cross(z, x), z]))
+    return turns
 
 
 def _axis(row: np.ndarray) -> str:

@@ -13,7 +13,6 @@ from pathlib import Path
 import torch
 
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import DetailConfig, OptimisationConfig, TrainingConfig
 from physkin_training.networks.export import network_config
 from physkin_training.rounding.rounded_sway import rounded_sway
@@ -104,15 +103,14 @@ def started_from(recipe: TrainingConfig, start: Path) -> TrainingConfig:
     return replace(recipe, start=start, optimisation=replace(recipe.optimisation, validate_every=often, **GENTLE))
 
 
-def learns_sway(config: TrainingConfig, model: GarmentModel, device: torch.device, *, seconds: float) -> bool:
+def learns_sway(start: GarmentModel | None, model: GarmentModel, device: torch.device, *, seconds: float) -> bool:
     """Whether a run ends with learning to sway: if it begins with no sway network, on a GPU (a CPU would simulate
     walkers for half a day), in a command of so many seconds.
 
-    model: before training; some of its garment nodes must lie where cloth sways.
+    start: what training begins with; model: before training; some of its garment nodes must lie where cloth sways.
     """
-    if device.type != "cuda" or seconds < LEAST_FOR_SWAY or not sway_share(model).any():
-        return False
-    return config.start is None or load_garment_model(config.start).sway is None
+    enough = device.type == "cuda" and seconds >= LEAST_FOR_SWAY
+    return enough and (start is None or start.sway is None) and bool(sway_share(model).any())
 
 
 def with_own_sway(model: GarmentModel, device: torch.device, *, within: float) -> tuple[GarmentModel, str]:

@@ -17,6 +17,7 @@ from trimesh.graph import connected_component_labels
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import Garment, face_areas
 from physkin_core.model.rest_shape import flat_areas, flat_edges, panels_of_texture, side_lengths
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = ["check_rest_shape", "creases_along", "laid_out"]
@@ -34,7 +35,7 @@ WEAK_TIE = 1e-9
 def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.ndarray) -> Look:
     """Flat panels; the look, with these where they had to be graded.
 
-    lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was carried to another body, if it was.
+    lying: (n, 3) the mesh as it was brought; made: (n, 3) the same before it was moved to another body, if it was.
     """
     allowed = (
         "texture coordinates in metres, as large as the mesh (0.8 to 1.25 times), are flat panels; others are a look"
@@ -44,7 +45,7 @@ def check_rest_shape(checks: Checks, look: Look, lying: np.ndarray, made: np.nda
         return panels_of_texture(vertices, checks.faces, face_areas(vertices, checks.faces), uv)
 
     def dropped(why: str) -> Look:
-        """Of a mesh that was carried to another body: there they may look like panels by accident."""
+        """Of a mesh that was moved to another body: there they may look like panels by accident."""
         found = f"dropped, and the texture coordinates with it: {why}"
         checks.say("flat rest shape", "warning", found, allowed)
         return replace(look, uv=np.full_like(look.uv, np.nan))
@@ -120,7 +121,7 @@ def laid_out(places: np.ndarray, panel_faces: np.ndarray, wanted: np.ndarray) ->
 def creases_along(vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """Edges (c, 2) of a mesh that run along line elements, whose ends are at `lines` (k, 2, 3); each line may be many
     edges long."""
-    edges = np.unique(np.sort(faces_to_edges(faces), axis=1), axis=0)
+    edges, _ = mesh_edges(faces)
     tree, along = cKDTree(vertices[edges].mean(axis=1)), np.zeros(len(edges), dtype=bool)
     for start, end in lines:
         length = np.linalg.norm(end - start)

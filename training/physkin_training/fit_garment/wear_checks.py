@@ -12,7 +12,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment
 from physkin_training.fit_garment import mesh_repair
-from physkin_training.fit_garment.fitting import CLEARANCE, carried, clear_of
+from physkin_training.fit_garment.fitting import CLEARANCE, clear_of, onto_body
 from physkin_training.fit_garment.mesh_checks import openings_and_holes
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import (
@@ -47,12 +47,10 @@ DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 """Overlap that is pushed out: depth [m], share of vertices."""
 TOP, HUNG_WITHIN = 0.05, 0.06
 """[m] A garment that lies far from the body, as a cape and a poncho do, has at least its top as close as this."""
-HELD, CLOSER = 0.03, 0.01
-"""[m] mean distance of the uppermost opening from the body, where the garment fits best; and how much less it is for a
-garment that is held head down only. The shipped garments have up to 0.015."""
-BETTER, NO_WORSE = 0.75, 1.2
-"""A garment is upside down whose cost head down is below this share of its cost; one held head down only, below that.
-The shipped garments would cost 0.9 (skirt) to 2.7 times as much."""
+UPSIDE_DOWN = 0.65
+"""A garment is upside down if the distances of its cloth and of its uppermost opening, head down, multiply to less than
+this share of what they are as it is. The shipped garments have 2.7 to 30, a pencil skirt that is 18 % too large has
+0.9; turned over they have 0.02 to 0.5 (skirt)."""
 SAME_PLACE, SAME_SHAPE = 1e-3, 0.5
 """[m] by which a garment may move between two poses that are taken for one; % by which edges may change, unrelaxed."""
 RELAXING = 30
@@ -133,10 +131,7 @@ def _place(checks: Checks, placed: Placement, scale: float, turn: np.ndarray) ->
 
 def check_upright(checks: Checks, surface: BodySurface) -> None:
     """Head up, held by the uppermost opening."""
-    allowed = (
-        f"the uppermost opening as close to the body as head down, or there beyond {1000 * HELD:g} mm, too; "
-        "no better fit head down"
-    )
+    allowed = f"distances of cloth and uppermost opening head down, multiplied, {UPSIDE_DOWN:g} times or more as large"
     loops, _ = openings_and_holes(checks.vertices, checks.faces)
 
     def held_by(vertices: np.ndarray) -> float:
@@ -147,7 +142,7 @@ def check_upright(checks: Checks, surface: BodySurface) -> None:
     away, away_over = held_by(upright), held_by(over)
     found = f"uppermost opening {1000 * away:.0f} mm from the body, head down {1000 * away_over:.0f} mm"
     found += f"; head down its distance would be {cost:.2f} times"
-    if cost < BETTER or (cost < NO_WORSE and away_over <= min(HELD, away - CLOSER)):
+    if cost * away_over < UPSIDE_DOWN * away:
         return checks.say("upright", "refused", f"{found}: it is upside down", allowed)
     return checks.say("upright", "ok", found, allowed)
 
@@ -201,7 +196,7 @@ def check_overlap(checks: Checks, avatar: Avatar, surface: BodySurface) -> None:
 
 def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPose | None) -> None:
     """Out of the avatar's own pose into the canonical one. own: None for a garment that is in that one."""
-    allowed = "the avatar's own pose, or the canonical A-pose; carried into that with the avatar's skeleton"
+    allowed = "the avatar's own pose, or the canonical A-pose; moved into that with the avatar's skeleton"
     if own is None:
         return checks.say("pose", "ok", "the canonical pose", allowed)
     lying = Garment(checks.vertices, checks.faces)
@@ -209,7 +204,7 @@ def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPos
     far = float(np.linalg.norm(checks.vertices - lying.vertices, axis=1).max())
     if far < SAME_PLACE:
         return checks.say("pose", "ok", "the canonical pose", allowed)
-    found = f"carried out of the avatar's own pose, by up to {100 * far:.1f} cm"
+    found = f"moved out of the avatar's own pose, by up to {100 * far:.1f} cm"
     strain = _edge_change(lying, lying.reshaped(checks.vertices))
     if strain > SAME_SHAPE:
         checks.vertices = clear_of(lying, avatar, surface, start=checks.vertices, iterations=RELAXING)
@@ -221,13 +216,13 @@ def check_pose(checks: Checks, avatar: Avatar, surface: BodySurface, own: OwnPos
 
 def check_body(checks: Checks, avatar: Avatar, template: Avatar) -> None:
     """Made on another body than the training template."""
-    allowed = "made on the training template's body; carried over from another one"
+    allowed = "made on the training template's body; moved over from another one"
     apart = float(np.linalg.norm(avatar.bone_heads - template.bone_heads, axis=1).max())
     surface = BodySurface(template.vertices, template.faces)
     if apart <= SAME_BODY and np.abs(surface.closest(avatar.vertices).distance).max() <= SAME_BODY:
         return checks.say("body", "ok", "the template's own", allowed)
-    checks.vertices = carried(checks.vertices, avatar, template)
-    found = f"another body, joints up to {100 * apart:.0f} cm from the template's; carried over bone by bone"
+    checks.vertices = onto_body(checks.vertices, avatar, template)
+    found = f"another body, joints up to {100 * apart:.0f} cm from the template's; moved over bone by bone"
     if surface.closest(checks.vertices).distance.min() < CLEARANCE:
         _push_out(checks, "body", template, surface, f"{found} and pushed out of it", allowed)
     else:

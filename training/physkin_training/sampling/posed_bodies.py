@@ -9,7 +9,6 @@ Dimensions: `B` samples, `b` bones, `d` degrees of freedom, `V` body vertices, `
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -167,15 +166,6 @@ class PosedBodies:
             points=wp.array(points.cpu().numpy(), dtype=wp.vec3, device=self.device),
             indices=wp.array(faces_of_all.cpu().numpy(), dtype=wp.int32, device=self.device),
         )
-
-    def pose_in_turn(self, positions: np.ndarray) -> Iterator[slice]:
-        """Pose the set's first body in all of positions (P, d) [rad], as many at once as there are samples; the last
-        pose fills up what is left. Yields which ones the first samples have now."""
-        samples = len(self.offset)
-        for start in range(0, len(positions), samples):
-            rows = np.minimum(np.arange(start, start + samples), len(positions) - 1)
-            self.pose(torch.tensor(positions[rows], dtype=torch.float32, device=self.offset.device))
-            yield slice(start, min(start + samples, len(positions)))
 
     @property
     def vertices(self) -> torch.Tensor:

@@ -28,8 +28,7 @@ class WindowDescent:
         device = optimiser.steps.device
         self._walkers = torch.zeros(windows_a_step, dtype=torch.int64, device=device)
         self._steps = [
-            RecordedStep(partial(self._descend, stride), device, clear=optimiser.zero_grad, in_company=False)
-            for stride in STRIDES
+            RecordedStep(partial(self._descend, stride), device, clear=optimiser.zero_grad) for stride in STRIDES
         ]
         self._done = 0
 

@@ -1,1 +1,1 @@
-"""A training run: schedule, steps, validation, checkpoints, several GPUs."""
+"""A training run: schedule, steps, validation, checkpoints, export."""

@@ -1,28 +1,24 @@
-"""Checkpoints: a folder of safetensors files and one JSON file, enough to go on exactly where a run stopped.
+"""Checkpoints: one file each, enough to go on exactly where a run stopped.
 
-Networks, their moving average, the best average so far, and each kind of the optimiser's state lie in files of their
-own, so that none grows large.
 A checkpoint is written beside the one it replaces and takes its place once complete: an interrupted save loses nothing.
 """
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
-from safetensors.torch import load_file, save_file
 
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
-from physkin_training.soap import SIDES, Soap
-from physkin_training.train.processes import Processes
+from physkin_training.soap import Soap
 from physkin_training.train.validation import BestModel
 
 __all__ = [
+    "CHECKPOINT_SUFFIX",
     "CheckpointError",
     "Progress",
     "checkpoint_step",
@@ -32,8 +28,7 @@ __all__ = [
     "saved_steps",
 ]
 
-OPTIMISER_FILES = ("exp_avg", "exp_avg_sq", *(f"{kind}_{side}" for kind in ("covariance", "basis") for side in SIDES))
-TENSOR_FILES = ("drape", "average", "best", *OPTIMISER_FILES, "random")
+CHECKPOINT_SUFFIX = ".pt"
 OWN_BUFFERS = ("influence_bias", "engine_bias", "networks.node_mean", "networks.node_scale")
 """What a run sets for itself, beside what it trains."""
 SAME = 1e-6
@@ -54,183 +49,122 @@ class Progress:
 
 
 def save_checkpoint(
-    folder: Path,
-    drape: Drape,
-    averaged: Drape,
-    optimiser: Soap,
-    *,
-    progress: Progress,
-    config: TrainingConfig,
-    processes: Processes,
+    path: Path, drape: Drape, averaged: Drape, optimiser: Soap, *, progress: Progress, config: TrainingConfig
 ) -> None:
-    """Write drape, moving average, optimiser and random states as `folder`, replacing a checkpoint that is there.
-
-    Every process must call it; the first writes. Raises CheckpointError when other files lie in `folder`.
-    """
-    random = {"cpu": processes.gather(torch.get_rng_state())}
+    """Write drape, moving average, optimiser and random states as `path`, replacing a checkpoint that is there."""
+    random = {"cpu": torch.get_rng_state()}
     if torch.cuda.is_available():
-        random["cuda"] = processes.gather(torch.cuda.get_rng_state())
-    if not processes.writes:
-        return
-    folder = folder.resolve()
-    _refuse_other_files(folder)
-    partial, previous = _sibling(folder, "partial"), _sibling(folder, "previous")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    best = progress.best
-    _save(drape.state_dict(), partial / "drape.safetensors")
-    _save(dict(averaged.named_parameters()), partial / "average.safetensors")
-    _save(best.parameters if best else {}, partial / "best.safetensors")
-    for kind, tensors in _optimiser_tensors(optimiser, drape).items():
-        _save(tensors, partial / f"{kind}.safetensors")
-    _save(random, partial / "random.safetensors")
-    state = {
+        random["cuda"] = torch.cuda.get_rng_state()
+    content = {
         "step": progress.step,
-        "best": {"step": best.step, "energy_j": best.energy} if best else None,
-        "config": config.as_plain_data(),
+        "best": vars(progress.best) if progress.best else None,
         "started_from": progress.started_from,
+        "config": config.as_plain_data(),
+        "drape": drape.state_dict(),
+        "average": {name: parameter.detach() for name, parameter in averaged.named_parameters()},
+        "optimiser": _optimiser_tensors(optimiser, drape),
+        "random": random,
     }
-    (partial / "state.json").write_text(json.dumps(state, indent=1))
-    if folder.exists():
-        shutil.rmtree(previous, ignore_errors=True)
-        folder.rename(previous)
-    partial.rename(folder)
-    shutil.rmtree(previous, ignore_errors=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.partial")
+    torch.save(content, partial)
+    partial.replace(path)
 
 
-def load_checkpoint(
-    folder: Path,
-    drape: Drape,
-    averaged: Drape,
-    optimiser: Soap,
-    *,
-    config: TrainingConfig,
-    processes: Processes,
-) -> Progress:
-    """Restore what `save_checkpoint` wrote; random states only to as many processes as wrote them, to others new ones.
+def load_checkpoint(path: Path, drape: Drape, averaged: Drape, optimiser: Soap, *, config: TrainingConfig) -> Progress:
+    """Restore what `save_checkpoint` wrote.
 
-    Raises CheckpointError when files are missing or do not fit, or the configuration, the garment or the body differs
-    (naming the entry).
+    Raises CheckpointError when the file cannot be read or does not fit, or the configuration, the garment or the body
+    differs (naming the entry).
     """
-    state = _read_state(folder)
-    files = {name: _read_tensors(folder, name) for name in TENSOR_FILES}
-    _check_same_config(state["config"], config.as_plain_data())
+    content = _read(path)
+    _check_same_config(content["config"], config.as_plain_data())
+    own, best = _optimiser_tensors(optimiser, drape), content["best"]
     parameters = dict(drape.named_parameters())
     try:
-        _check_same_model(files["drape"], drape)
-        _check_fit(files["average"], parameters, "average")
-        _check_fit(files["best"], parameters if state["best"] else {}, "best")
-        own = _optimiser_tensors(optimiser, drape)
-        for kind, tensors in own.items():
-            _check_fit(files[kind], tensors, kind)
-        _set_random_state(files["random"], processes, seed=config.seed, step=state["step"])
+        _check_same_model(content["drape"], drape)
+        _check_fit(content["average"], parameters, "average")
+        _check_fit(best["parameters"] if best else {}, parameters if best else {}, "best")
+        _check_fit(content["optimiser"], own, "optimiser")
+        _set_random_state(content["random"])
     except CheckpointError as error:
-        raise CheckpointError(f"checkpoint {folder} {error}") from error
-    drape.load_state_dict(files["drape"])
-    averaged.load_state_dict(files["drape"] | files["average"])
-    for kind, tensors in own.items():
-        for name, tensor in tensors.items():
-            tensor.copy_(files[kind][name])
-    optimiser.steps.fill_(state["step"])
-    best = None
-    if state["best"]:
-        tensors = {name: tensor.to(parameters[name].device) for name, tensor in files["best"].items()}
-        best = BestModel(state["best"]["step"], state["best"]["energy_j"], tensors)
-    return Progress(state["step"], best, state.get("started_from"))
+        raise CheckpointError(f"checkpoint {path} {error}") from error
+    drape.load_state_dict(content["drape"])
+    averaged.load_state_dict(content["drape"] | content["average"])
+    for name, tensor in own.items():
+        tensor.copy_(content["optimiser"][name])
+    optimiser.steps.fill_(content["step"])
+    if best:
+        best["parameters"] = {name: each.to(parameters[name].device) for name, each in best["parameters"].items()}
+    return Progress(content["step"], BestModel(**best) if best else None, content["started_from"])
 
 
-def load_drape(folder: Path, drape: Drape) -> dict:
+def load_drape(path: Path, drape: Drape) -> dict:
     """Take over networks and skinning weights alone, whatever the run's configuration was: the best that the run kept,
     or where it kept none yet the moving average.
 
     Returns plain data on that run: its configuration, the `step` they are of and `started_from`. Raises CheckpointError
-    when the files cannot be read or are of another garment, another body or other sizes.
+    when the file cannot be read or is of another garment, another body or other sizes.
     """
     try:
-        state = _read_state(folder)
-        tensors = _read_tensors(folder, "drape")
-        _check_same_model(tensors, drape)
-        file = "best" if state["best"] else "average"
-        learnt = _read_tensors(folder, file)
-        _check_fit(learnt, dict(drape.named_parameters()), file)
+        content = _read(path)
+        best = content["best"]
+        learnt = best["parameters"] if best else content["average"]
+        _check_same_model(content["drape"], drape)
+        _check_fit(learnt, dict(drape.named_parameters()), "best" if best else "average")
     except CheckpointError as error:
-        raise CheckpointError(f"cannot start from checkpoint {folder}: {error}") from error
-    drape.load_state_dict(tensors | learnt)
-    run = state["config"] | {"step": state["best"]["step"] if state["best"] else state["step"]}
-    return run | ({"started_from": state["started_from"]} if state.get("started_from") else {})
+        raise CheckpointError(f"cannot start from checkpoint {path}: {error}") from error
+    drape.load_state_dict(content["drape"] | learnt)
+    run = content["config"] | {"step": best["step"] if best else content["step"]}
+    return run | ({"started_from": content["started_from"]} if content["started_from"] else {})
 
 
-def checkpoint_step(folder: Path) -> int | None:
-    """The step a checkpoint is of, also where a save was interrupted; None where there is none that can be read."""
+def checkpoint_step(path: Path) -> int | None:
+    """The step a checkpoint is of; None where there is none that can be read."""
     try:
-        return _read_state(folder)["step"]
+        return _read(path)["step"]
     except CheckpointError:
         return None
 
 
-def saved_steps(folder: Path) -> int:
+def saved_steps(path: Path) -> int:
     """How many steps the run of a checkpoint takes in all. Raises CheckpointError when the file cannot be read."""
-    steps = (_read_state(folder)["config"].get("optimisation") or {}).get("steps")
+    steps = (_read(path)["config"].get("optimisation") or {}).get("steps")
     if type(steps) is not int or steps < 1:
-        raise CheckpointError(f"cannot read checkpoint {folder}: its configuration has {steps!r} optimisation.steps")
+        raise CheckpointError(f"cannot read checkpoint {path}: its configuration has {steps!r} optimisation.steps")
     return steps
 
 
-def _optimiser_tensors(optimiser: Soap, drape: Drape) -> dict[str, dict[str, torch.Tensor]]:
-    """The optimiser's state by kind and name of the parameter."""
+def _optimiser_tensors(optimiser: Soap, drape: Drape) -> dict[str, torch.Tensor]:
+    """The optimiser's state, by the parameter's name and the kind of state."""
     states = {name: optimiser.state[parameter] for name, parameter in drape.named_parameters()}
-    return {kind: {name: state[kind] for name, state in states.items() if kind in state} for kind in OPTIMISER_FILES}
+    return {f"{name} {kind}": tensor for name, state in states.items() for kind, tensor in state.items()}
 
 
-def _sibling(folder: Path, suffix: str) -> Path:
-    return folder.with_name(f"{folder.name}.{suffix}")
+KINDS = {
+    "step": int,
+    "best": dict | None,
+    "started_from": dict | None,
+    "config": dict,
+    **dict.fromkeys(("drape", "average", "optimiser", "random"), dict),
+}
+"""What a checkpoint has to hold."""
 
 
-def _complete(folder: Path) -> Path:
-    """The folder, or what an interrupted save had just moved aside."""
-    folder = folder.resolve()
-    previous = _sibling(folder, "previous")
-    return previous if not folder.exists() and previous.exists() else folder
-
-
-def _refuse_other_files(folder: Path) -> None:
-    own = {"state.json", *(f"{name}.safetensors" for name in TENSOR_FILES)}
-    others = sorted(path.name for path in folder.iterdir() if path.name not in own) if folder.exists() else []
-    if others:
-        raise CheckpointError(f"{folder} holds {', '.join(others)}; a checkpoint needs a folder of its own")
-
-
-def _save(tensors: Mapping[str, torch.Tensor], path: Path) -> None:
-    save_file({name: tensor.detach().contiguous() for name, tensor in tensors.items()}, path)
-
-
-def _read_state(folder: Path) -> dict:
+def _read(path: Path) -> dict[str, Any]:
+    """Tensors on the CPU and plain data; nothing that a file holds is executed."""
     try:
-        state = json.loads((_complete(folder) / "state.json").read_text())
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"cannot read checkpoint {folder}: {error}") from error
-    state = state if isinstance(state, dict) else {}
-    step, config = state.get("step"), state.get("config")
-    if type(step) is not int or step < 0 or not isinstance(config, dict):
-        raise CheckpointError(
-            f"cannot read checkpoint {folder}: state.json needs a step of at least 0 and a config table, "
-            f"got {step!r} and {config!r}"
-        )
-    best = state.setdefault("best", None)
-    if best is not None and not (
-        isinstance(best, dict) and type(best.get("step")) is int and type(best.get("energy_j")) is float
-    ):
-        raise CheckpointError(
-            f"cannot read checkpoint {folder}: state.json needs best to be null or have step and energy_j, got {best!r}"
-        )
-    return state
-
-
-def _read_tensors(folder: Path, name: str) -> dict[str, torch.Tensor]:
-    try:
-        return load_file(_complete(folder) / f"{name}.safetensors")
-    except Exception as error:  # safetensors raises errors of its own, OSError and ValueError
-        raise CheckpointError(f"cannot read checkpoint {folder}: {name}.safetensors: {error}") from error
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises errors of many kinds for damaged files
+        raise CheckpointError(f"cannot read checkpoint {path}: {' '.join(str(error).split())}") from error
+    content = content if isinstance(content, dict) else {}
+    for name, kind in KINDS.items():
+        if name not in content or not isinstance(content[name], kind):
+            raise CheckpointError(f"cannot read checkpoint {path}: it needs an entry {name!r} of {kind}")
+    best = content["best"]
+    if content["step"] < 0 or best is not None and best.keys() != {"step", "energy", "parameters"}:
+        raise CheckpointError(f"cannot read checkpoint {path}: its step or its best model cannot be")
+    return content
 
 
 def _check_same_model(tensors: dict, drape: Drape) -> None:
@@ -244,29 +178,23 @@ def _check_same_model(tensors: dict, drape: Drape) -> None:
         raise CheckpointError(f"is of another garment, body or garment nodes: {', '.join(differing)} differ")
 
 
-def _check_fit(tensors: Mapping, expected: Mapping, file: str) -> None:
+def _check_fit(tensors: Mapping, expected: Mapping, entry: str) -> None:
     if odd := sorted(set(tensors) ^ set(expected)):
-        raise CheckpointError(f"does not fit the model: {file}.safetensors has too much or lacks {', '.join(odd)}")
+        raise CheckpointError(f"does not fit the model: its {entry} has too much or lacks {', '.join(odd)}")
     for name, tensor in tensors.items():
         if tensor.shape != expected[name].shape:
             raise CheckpointError(
-                f"does not fit the model: {file}.safetensors has {name} of shape {tuple(tensor.shape)}, "
+                f"does not fit the model: its {entry} has {name} of shape {tuple(tensor.shape)}, "
                 f"expected {tuple(expected[name].shape)}"
             )
 
 
-def _set_random_state(random: Mapping[str, torch.Tensor], processes: Processes, *, seed: int, step: int) -> None:
+def _set_random_state(random: Mapping[str, torch.Tensor]) -> None:
     try:
-        if len(random["cpu"]) != processes.count:
-            processes.seed_samples(seed, step)
-            return
-        own = {
-            device: states[processes.rank].clone() for device, states in random.items()
-        }  # set_rng_state wants no view
-        torch.set_rng_state(own["cpu"])
-        if "cuda" in own and torch.cuda.is_available():
-            torch.cuda.set_rng_state(own["cuda"])
-    except (KeyError, IndexError, TypeError, RuntimeError) as error:
+        torch.set_rng_state(random["cpu"])
+        if "cuda" in random and torch.cuda.is_available():
+            torch.cuda.set_rng_state(random["cuda"])
+    except (KeyError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"has no usable random state: {error!r}") from error
 
 

@@ -33,26 +33,21 @@ def scalar_writer(folder: Path) -> SummaryWriter:
 
 
 class RunReports:
-    """Reports of one run into `output`, appended to those that are there. Use as a context.
-
-    Of several processes only the first one writes; all must call `report`, which asks all for their figures.
-    """
+    """Reports of one run into `output`, appended to those that are there. Use as a context."""
 
     def __init__(self, trainer: Trainer, output: Path, *, every: int) -> None:
         self._trainer, self._output, self._every = trainer, output, every
         self._started, self._first_step = time.perf_counter(), trainer.step
 
     def __enter__(self) -> RunReports:
-        if self._trainer.processes.writes:
-            self._writer = scalar_writer(self._output / "scalars")
-            self._record = open(self._output / "losses.jsonl", "a")
-            self._progress = progress_line("training")
+        self._writer = scalar_writer(self._output / "scalars")
+        self._record = open(self._output / "losses.jsonl", "a")
+        self._progress = progress_line("training")
         return self
 
     def __exit__(self, *_) -> None:
-        if self._trainer.processes.writes:
-            self._record.close()
-            self._writer.close()
+        self._record.close()
+        self._writer.close()
 
     @property
     def seconds(self) -> float:
@@ -72,16 +67,12 @@ class RunReports:
             row["validation_strained"] = trainer.validation.strained
         if trainer.best:
             row |= {"best_validation_energy": trainer.best.energy, "best_step": trainer.best.step}
-        if trainer.processes.writes:
-            self._write(row)
-
-    def _write(self, row: dict) -> None:
         step = row["step"]
         self._record.write(json.dumps(row) + "\n")
         self._record.flush()
         for name, value in row.items():
             self._writer.add_scalar(name, value, step)
-        left = self._trainer.config.optimisation.steps - self._first_step
+        left = trainer.config.optimisation.steps - self._first_step
         self._progress((step - self._first_step) / left)
         if not sys.stderr.isatty() and step // self._every % LINE_EVERY == 0:
             self._log(row)

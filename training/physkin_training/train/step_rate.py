@@ -1,73 +1,35 @@
-"""How many steps fit into a given time, from steps that are timed and undone."""
+"""How many steps a device takes a second."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import torch
 
-from physkin_training.train.processes import Processes
+__all__ = ["steady_rate"]
 
-__all__ = ["steps_within"]
-
-LATE = 0.7
-"""Share of a run at which steps are as long as in most of it: full range, influences pruned."""
 MEASURING = 8.0
-"""Time [s] over which the rate of steps is measured; at most a thirtieth of the run's."""
+"""Time [s] over which steps are counted; at most a thirtieth of the time that there is."""
 WARM_UP_STEPS, STEPS_A_LOOK = 60, 20
-FEWEST_STEPS = 10
-PARTS = 1000
-"""Steps of the run in which rates are measured."""
-USED = 0.97
-"""Share of the time that steps fill; the rest is for measuring the average, and for rates that were too high."""
+"""Steps before, where they take no longer than that; and steps between two looks at the clock on a GPU."""
 
 
-def steps_within(
-    seconds: float,
-    take_steps: Callable[[float, int], Iterator[int]],
-    *,
-    full_encoding: float,
-    device: torch.device,
-    processes: Processes,
-) -> tuple[int, float]:
-    """Steps of a run that takes `seconds` from now on, measuring included, and their rate [steps/s].
-
-    take_steps: see `Trainer.take_steps`. full_encoding: share of the run from which on steps are those of its end.
-    Raises ValueError when the time is too short for any.
-    """
-    began = time.perf_counter()
-    measuring = min(MEASURING, seconds / 30)
-    end = min(full_encoding, 1 - 1 / PARTS)
-    late = _steady_rate(take_steps(LATE, PARTS), measuring, device, processes)
-    last = _steady_rate(take_steps(end, PARTS), measuring / 4, device, processes)
-    rate = 1 / (end / late + (1 - end) / last)
-    left = torch.tensor([rate, seconds - (time.perf_counter() - began)])
-    processes.average([left])
-    rate, left = left.tolist()
-    steps = int(rate * left * USED)
-    if steps < FEWEST_STEPS:
-        raise ValueError(
-            f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
-        )
-    return steps, rate
-
-
-def _steady_rate(taken: Iterator[int], seconds: float, device: torch.device, processes: Processes) -> float:
-    """Steps a second of those `taken`, over `seconds` after a warm-up."""
-    on_gpu = device.type == "cuda"
+def steady_rate(steps: Iterator[int], seconds: float, device: torch.device) -> float:
+    """Steps a second, of `steps` that are taken as they are asked for. seconds: that there are in all."""
+    on_gpu, measuring = device.type == "cuda", min(MEASURING, seconds / 30)
     look = STEPS_A_LOOK if on_gpu else 1
 
     def rate(most: float) -> float:
         began, done, late = time.perf_counter(), 0, False
         while not late and done < most:
             for _ in range(look):
-                next(taken)
+                next(steps)
                 done += 1
             if on_gpu:
                 torch.cuda.synchronize(device)
-            (late,) = processes.any(time.perf_counter() - began > seconds)
+            late = time.perf_counter() - began > measuring
         return done / (time.perf_counter() - began)
 
     rate(WARM_UP_STEPS)

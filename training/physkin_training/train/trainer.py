@@ -2,7 +2,7 @@
 
 One step draws bodies, poses and gravity, encodes the bodies, drapes the garment and descends the mean physical energy.
 Everything that changes between steps (pose range, contact stiffness, learning rates) sits in tensors, so that a GPU can
-replay the step. Several processes each do the step on their share of the samples and average the gradients.
+replay the step.
 
 Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 """
@@ -10,24 +10,23 @@ Dimensions: `B` samples, `S` bodies of a step, `n` garment vertices.
 from __future__ import annotations
 
 import copy
-import itertools
 import math
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from physkin_core.avatar.body_model import BodyModel, load_body_model
-from physkin_core.model.garment import load_garment
+from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.networks.warm_start import take_over_model
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
@@ -36,13 +35,13 @@ from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.sampling.training_bodies import training_bodies
-from physkin_training.soap import TURN_EVERY, Soap
-from physkin_training.train.checkpoint import Progress, load_checkpoint, load_drape, save_checkpoint
-from physkin_training.train.processes import Processes
+from physkin_training.soap import Soap
+from physkin_training.train.checkpoint import CHECKPOINT_SUFFIX, Progress, load_checkpoint, load_drape, save_checkpoint
 from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
-from physkin_training.train.step_rate import steps_within
+from physkin_training.train.step_rate import steady_rate
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
+from physkin_training.transfer.warm_start import take_over_model
 
 __all__ = ["Trainer", "TrainingDiverged"]
 
@@ -52,6 +51,8 @@ ENGINE_SHARE = 1 / 8
 """Share of a body's poses that are skinned by the weights for engines; one at least."""
 LARGEST_GRADIENT = 10.0
 """Longer gradients are shortened to this norm."""
+LONG_RUN, FEWEST_STEPS = 100_000, 10
+"""Steps of a run while its first ones are timed, which then hardly learn; and fewest steps after them."""
 
 
 class TrainingDiverged(RuntimeError):
@@ -66,8 +67,8 @@ class Trainer:
     both None until pose range and influences are final, but for a run with a `start`, which is measured first.
     `started_from`: plain data on the run this one took its networks from, or None. `made` (S,): which bodies of a step
     are worn made to measure.
-    `body_model`: whose training bodies it takes, default the shipped adults. Of several `processes` each makes a
-    trainer and calls the same methods.
+    garment, start: mesh and model that the run begins with; by default they are read from the files that the
+    configuration names. body_model: whose training bodies it takes, by default the shipped adults.
     """
 
     def __init__(
@@ -75,32 +76,27 @@ class Trainer:
         config: TrainingConfig,
         device: torch.device,
         *,
-        processes: Processes | None = None,
+        garment: Garment | None = None,
+        start: GarmentModel | None = None,
         body_model: BodyModel | None = None,
     ) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.device = device
-        self.processes = processes or Processes()
         self.step = self.skipped = 0
         self.best: BestModel | None = None
         self.validation_energy: float | None = None
         self.started_from: dict | None = None
         optimisation = config.optimisation
-        count = self.processes.count
-        if optimisation.bodies % count:
-            raise ValueError(
-                f"optimisation.bodies must be a multiple of the {count} processes, got {optimisation.bodies}"
-            )
-        self._samples, self._bodies = optimisation.samples // count, optimisation.bodies // count
+        self._samples, self._bodies = optimisation.samples, optimisation.bodies
         if self._bodies < 2:
-            raise ValueError("optimisation.bodies must be at least 2 for each process, one of them made to measure for")
+            raise ValueError("optimisation.bodies must be at least 2, one of them with a garment made to measure")
         self.body_model = body_model = body_model or load_body_model()
         if config.train_bodies > len(body_model.train_bodies):
             raise ValueError(f"train_bodies must be 1 to {len(body_model.train_bodies)}, got {config.train_bodies}")
         self.rig = body_model.rig
-        self.garment = load_garment(config.garment)
-        start = config.start and load_garment_model(config.start)
+        self.garment = garment or load_garment(config.garment)
+        self.start = start = start or (load_garment_model(config.start) if config.start else None)
         if start:
             nodes, detail = GarmentNodeSet.of_model(start), DetailNodeSet.of_model(start)
         else:
@@ -121,7 +117,6 @@ class Trainer:
         self._normalise_nodes()
         if start:
             self.started_from = take_over_model(start, self.drape)
-        self.processes.broadcast(list(self.drape.state_dict().values()))
         self.averaged = copy.deepcopy(self.drape).requires_grad_(False)
         self.losses = PhysicsLosses(
             self.garment,
@@ -135,9 +130,7 @@ class Trainer:
             heavy_energy=HEAVY_ENERGY,
             rest=rest,
         )
-        self.validation = Validation(
-            config, body_model, self.garment, self.bodies, wearing, self.processes, fits=self.fits, rest=rest
-        )
+        self.validation = Validation(config, body_model, self.garment, self.bodies, wearing, fits=self.fits, rest=rest)
         self.range = torch.zeros((), device=device)
         self._average_decay = torch.zeros((), device=device)
         self._energy_sum = torch.zeros(len(TERMS), device=device)
@@ -150,18 +143,15 @@ class Trainer:
             lambda: self.take_step(),
             device,
             clear=lambda: self.optimiser.zero_grad(),
-            in_company=count > 1,
         )
         # Nothing is pruned before the first step, whatever its schedule says.
         every = config.garment_nodes.initial_influences
         self.schedule = replace(Schedule.at(0, config), influences=every, engine_influences=every)
-        if count > 1:
-            self.processes.seed_samples(config.seed, 0)
 
     def run(self, steps: int) -> Iterator[int]:
         """Do up to `steps` steps, yielding `step` after each."""
         end = min(self.step + steps, self.config.optimisation.steps)
-        if self.step == 0 and self.config.start:
+        if self.step == 0 and self.start:
             self._measure()
         while self.step < end and not self.settled:
             self._set_schedules()
@@ -174,36 +164,26 @@ class Trainer:
             yield self.step
 
     def choose_steps(self, seconds: float) -> float:
-        """Set the run's steps so that it takes `seconds` from now on, measuring included. Returns the rate [steps/s].
+        """Set the run's steps so that it takes `seconds` from now on. Returns the rate [steps/s].
 
-        Steps at the settings of late training, and of its end, are done and timed, and then undone. Raises ValueError
-        when the run has begun, or the time is too short for any.
+        Its first steps are timed; they count. Raises ValueError when the run has begun, or the time is too short.
         """
         if self.step:
             raise ValueError(f"the number of steps is chosen before the first one, not after {self.step}")
-        with self.undone():
-            steps, rate = steps_within(
-                seconds,
-                self.take_steps,
-                full_encoding=self.config.optimisation.full_encoding,
-                device=self.device,
-                processes=self.processes,
+        began = time.perf_counter()
+        self.set_steps(LONG_RUN)
+        rate = steady_rate(self.run(LONG_RUN), seconds, self.device)
+        left = int(rate * (seconds - (time.perf_counter() - began)))
+        if left < FEWEST_STEPS:
+            raise ValueError(
+                f"{seconds / 60:g} minutes are too short for a run of {FEWEST_STEPS} steps at {rate:.1f} a second"
             )
-        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
+        self.set_steps(self.step + left)
         return rate
 
-    def take_steps(self, progress: float, parts: int) -> Iterator[int]:
-        """Steps without end at `progress` (0 to 1) of a run of `parts` steps, of which nothing is learnt: yields their
-        number. For use within `undone`."""
-        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=parts))
-        self.step = math.ceil(progress * parts)
-        self._set_schedules()
-        for group in self.optimiser.param_groups:
-            group["lr"].zero_()
-        for done in itertools.count(TURN_EVERY + 1):
-            self._recorded()
-            self.optimiser.turn_bases(done)
-            yield done
+    def set_steps(self, steps: int) -> None:
+        """Change how many steps the run takes in all; schedules stretch with it."""
+        self.config = replace(self.config, optimisation=replace(self.config.optimisation, steps=steps))
 
     @property
     def settled(self) -> bool:
@@ -223,10 +203,6 @@ class Trainer:
         drape.load_state_dict(drape.state_dict() | self.best.parameters)
         return drape
 
-    def close(self) -> None:
-        """Drop the recorded step, which holds on to the other processes."""
-        self._recorded.forget()
-
     def mean_energies(self) -> dict[str, float]:
         """Mean energies [J] a sample by term over the steps since the last call. Waits for the device.
 
@@ -242,70 +218,31 @@ class Trainer:
     def median_energy(self) -> float:
         """Median of stretch and contact energy [J] over the last step's samples: the few worst poses, which decide the
         mean, do not move it. Waits for the device."""
-        return self.processes.gather(self._stretch_and_collision).median().item()
-
-    def average_energy(self) -> float:
-        """Mean energy [J] of the averaged drape, gravity left out, on the validation's bodies and poses. Waits for the
-        device.
-
-        Raises TrainingDiverged when it is not finite.
-        """
-        with self._recorded.beside():
-            energy = self.validation.mean_energy(self.averaged)
-        if not math.isfinite(energy):
-            raise TrainingDiverged(f"the averaged drape's energy is {energy} at step {self.step}")
-        return energy
-
-    @contextmanager
-    def undone(self) -> Iterator[None]:
-        """Everything is afterwards as it was before: for steps that are only timed, before the first one."""
-        drapes = self.drape, self.averaged
-        states = [{name: tensor.clone() for name, tensor in drape.state_dict().items()} for drape in drapes]
-        on_gpu = self.device.type == "cuda"
-        random = torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
-        config, step, schedule = self.config, self.step, self.schedule
-        yield
-        self._recorded.forget()
-        self.config, self.step, self.schedule = config, step, schedule
-        for drape, state in zip(drapes, states):
-            drape.load_state_dict(state)
-        self.optimiser.zero_grad()
-        self.optimiser.reset()
-        for tensor in (self._energy_sum, self._stretch_and_collision, self.gradient_norm):
-            tensor.zero_()
-        torch.set_rng_state(random[0])
-        if on_gpu:
-            torch.cuda.set_rng_state(random[1], self.device)
+        return self._stretch_and_collision.median().item()
 
     def _finite_sums(self) -> list[float]:
-        """Mean over the processes of the summed energies [J]. Raises TrainingDiverged when energies since the last
-        report or the last gradient are not finite."""
+        """The summed energies [J]. Raises TrainingDiverged when energies since the last report or the last gradient are
+        not finite."""
         sums = torch.cat([self._energy_sum, self.gradient_norm[None]])
-        self.processes.average([sums])
         if not torch.isfinite(sums).all():
             raise TrainingDiverged(f"energies or gradients are not finite at step {self.step}")
         return sums[:-1].tolist()
 
-    def save(self, folder: Path) -> None:
-        """Write a checkpoint (see `physkin_training.train.checkpoint`). Raises TrainingDiverged and leaves `folder`
-        as it is when the run has diverged."""
+    def save(self, path: Path) -> None:
+        """Write a checkpoint. Raises TrainingDiverged and leaves `path` as it is when the run has diverged."""
         self._finite_sums()
         save_checkpoint(
-            folder,
+            path,
             self.drape,
             self.averaged,
             self.optimiser,
             progress=Progress(self.step, self.best, self.started_from),
             config=self.config,
-            processes=self.processes,
         )
 
-    def resume(self, folder: Path) -> None:
-        """Go on from a checkpoint of the same configuration, whatever number of processes wrote it; exactly as it would
-        have gone on where that is the same number."""
-        progress = load_checkpoint(
-            folder, self.drape, self.averaged, self.optimiser, config=self.config, processes=self.processes
-        )
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint of the same configuration, exactly as the run would have gone on."""
+        progress = load_checkpoint(path, self.drape, self.averaged, self.optimiser, config=self.config)
         self.step = self._summed_from = progress.step
         self.best, self.started_from = progress.best, progress.started_from
 
@@ -314,10 +251,10 @@ class Trainer:
 
         Raises CheckpointError or ValueError when they do not fit this run.
         """
-        if path.is_file():
-            self.started_from = take_over_model(load_garment_model(path), self.drape)
-        else:
+        if path.suffix == CHECKPOINT_SUFFIX:
             self.started_from = load_drape(path, self.drape)
+        else:
+            self.started_from = take_over_model(load_garment_model(path), self.drape)
         self.averaged.load_state_dict(self.drape.state_dict())
 
     def _normalise_nodes(self) -> None:
@@ -412,7 +349,6 @@ class Trainer:
             )
         self.optimiser.zero_grad()
         loss.backward()
-        self.processes.average([parameter.grad for parameter in self.drape.parameters()])
         norm = torch.nn.utils.clip_grad_norm_(self.drape.parameters(), LARGEST_GRADIENT, foreach=True)
         self.optimiser.step()
         self._update_average()

@@ -4,12 +4,11 @@ weighted as in training.
 A run can end in a worse state than it has been through (docs/notebook/training-runs.md), so the best is kept. The
 bodies are training bodies: held-out ones are for the figures, and a model chosen by them would flatter itself.
 
-Dimensions: `k` batches, `B` samples of this process, `S` bodies of this process, `n` garment vertices.
+Dimensions: `k` batches, `B` samples and `S` bodies of a batch, `n` garment vertices.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +21,11 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_training.config import TrainingConfig
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.physics_losses import Energies, PhysicsLosses, lightened
+from physkin_training.physics.physics_losses import PhysicsLosses, lightened
 from physkin_training.physics.rest_data import RestData
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
-from physkin_training.train.processes import Processes
 
 __all__ = ["CONTACT_LINEAR_BEYOND", "HEAVY_ENERGY", "BestModel", "Validation"]
 
@@ -59,10 +57,10 @@ class Validation:
     """A fixed set of bodies and poses over the full range; the configuration's seed decides it, on any device.
 
     All buffers are its own and it draws nothing from torch's random streams, so that neither a recorded step nor the
-    samples to come notice it. Of several processes each measures its share of the same set. fits, rest: rest shapes of
-    the set, which is measured both at the template and made to measure. Of the last measurement, None before the first:
-    `made_to_measure` [J], that of the latter alone, and `strained` [J], that without gravity. `chosen` (k, S) indices
-    of bodies, `positions` (k, B, d) [rad] and `gravity` (k, B, 3): this process's share of the set.
+    samples to come notice it. fits, rest: rest shapes of the set, which is measured both at the template and made to
+    measure. Of the last measurement, None before the first: `made_to_measure` [J], that of the latter alone, and
+    `strained` [J], that without gravity. `chosen` (k, S) indices of bodies, `positions` (k, B, d) [rad], `gravity`
+    (k, B, 3).
     """
 
     def __init__(
@@ -72,26 +70,20 @@ class Validation:
         garment: Garment,
         bodies: BodySet,
         wearing: Wearing,
-        processes: Processes,
         *,
         fits: MadeToMeasure,
         rest: RestData,
     ) -> None:
         device = bodies.vertices.device
         optimisation = config.optimisation
-        self._processes, self._fits = processes, fits
+        self._fits = fits
         self.made_to_measure: float | None = None
         self.strained: float | None = None
         generator = torch.Generator().manual_seed(config.seed)
-        chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator)
+        self.chosen = torch.randint(len(bodies), (BATCHES, optimisation.bodies), generator=generator).to(device)
         sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
         samples = [sampler.sample(optimisation.samples, 1.0, generator=generator) for _ in range(BATCHES)]
-
-        def share(values: torch.Tensor) -> torch.Tensor:
-            return values.chunk(processes.count, dim=1)[processes.rank].contiguous().to(device)
-
-        self.positions, self.gravity = (share(torch.stack(part)) for part in zip(*samples))
-        self.chosen = share(chosen)
+        self.positions, self.gravity = (torch.stack(part).to(device) for part in zip(*samples))
         self._per_body = optimisation.samples // optimisation.bodies
         self._points, self._normals = self._surfaces(bodies)
         count = self.positions.shape[1]
@@ -107,41 +99,30 @@ class Validation:
             rest=rest,
         )
 
+    @torch.no_grad()
     def energy(self, drape: Drape) -> float:
         """Mean energy [J] over the poses, all but gravity `lightened`, at the material's full contact stiffness: about
         what training descends. The mean of the template and made to measure. Waits for the device."""
-        measured = self._means(drape, lambda each: (lightened(each.strained, HEAVY_ENERGY), each.gravity))
-        _, self.made_to_measure = measured.sum(dim=1).tolist()
-        self.strained, gravity = measured.mean(dim=0).tolist()
-        return self.strained + gravity
-
-    def mean_energy(self, drape: Drape) -> float:
-        """Mean energy [J] without gravity, heavy poses in full; otherwise as `energy`."""
-        return self._means(drape, lambda each: (each.strained,)).mean().item()
-
-    @torch.no_grad()
-    def _means(self, drape: Drape, parts: Callable[[Energies], tuple[torch.Tensor, ...]]) -> torch.Tensor:
-        """Means [J] over the set of parts of the energies, at the template and made to measure: (2, number of parts).
-        Contact grows linearly where it does in training."""
         means: list[list[torch.Tensor]] = [[], []]
         for batch, chosen in enumerate(self.chosen):
             positions, gravity = self.positions[batch], self.gravity[batch]
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
-            for way, made in enumerate((False, True)):
+            for made in (False, True):
                 worn = self._fits.worn(body_index, torch.full_like(body_index, made, dtype=torch.bool))
                 self.losses.rest_row.copy_(worn.rows)
                 fit = torch.full(chosen.shape, float(made), device=chosen.device)
                 modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
-                vertices = drape(
-                    modulation, positions, gravity, drape.posed_nodes(bones, worn.node_positions), worn.rest
-                )
+                nodes = drape.posed_nodes(bones, worn.node_positions)
+                vertices = drape(modulation, positions, gravity, nodes, worn.rest)
                 _, energies = self.losses(vertices, gravity, self._posed_bodies.mesh, self._posed_bodies.offset)
-                means[way].append(torch.stack([part.mean() for part in parts(energies)]))
-        found = torch.stack([torch.stack(way).mean(dim=0) for way in means])
-        self._processes.average([found])
-        return found
+                parts = lightened(energies.strained, HEAVY_ENERGY), energies.gravity
+                means[made].append(torch.stack([part.mean() for part in parts]))
+        measured = torch.stack([torch.stack(each).mean(dim=0) for each in means])
+        _, self.made_to_measure = measured.sum(dim=1).tolist()
+        self.strained, height = measured.mean(dim=0).tolist()
+        return self.strained + height
 
     def _surfaces(self, bodies: BodySet) -> tuple[torch.Tensor, torch.Tensor]:
         """Points and normals (k, S, N, 3) of the chosen bodies, the ones that the run time takes."""

@@ -1,8 +1,8 @@
-"""A garment model carried over to another garment: what that can wear before it has trained, and trains from.
+"""A garment model for another garment: how that can be worn before training, and what training starts from.
 
-Networks, garment nodes and detail nodes are the model's own. Cloth is laid in the folds of the model's and takes its
-skinning weights and its detail from the places where it lies; where it reaches beyond that, it goes on as the edge
-there does.
+Networks, garment nodes and detail nodes are the model's own. The mesh gets the folds of the model's garment, and takes
+skinning weights and detail from the places where it lies on that. Cloth beyond the model's garment moves as its edge
+does.
 
 Dimensions: `n` vertices, `v` those of the model's garment, `m` garment nodes, `D` detail nodes. Metres, canonical pose.
 """
@@ -18,30 +18,30 @@ from scipy.sparse import csr_array, diags_array, eye_array
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
-from physkin_training.networks.laid_on import Counterparts, joined_vertices, lay_on
+from physkin_training.transfer.matched_folds import Counterparts, joined_vertices, match_folds
 
-__all__ = ["carried_model"]
+__all__ = ["transferred_model"]
 
 SMOOTHED = 0.02
-"""[m] Width over which weights are smoothed where neighbours have counterparts far apart."""
+"""[m] Width over which weights are smoothed where neighbours lie far apart on the model's garment."""
 
 
-def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
-    """The model on another garment, called `name`, which lies in the folds of the model's (`lay_on`): its rest normals
-    are those of the mesh, it has no scores, and in `training` it says what it was `carried_from`."""
-    laid = lay_on(garment, model.garment)
-    garment = replace(garment, vertices=laid.vertices)
-    mended = _mended(garment, laid.torn)
+def transferred_model(model: GarmentModel, garment: Garment, *, name: str) -> GarmentModel:
+    """The model for another garment, called `name`, which gets the folds of the model's. Its rest normals are those of
+    the mesh, it has no scores, and its `training` says what it was `transferred_from`."""
+    matched = match_folds(garment, model.garment)
+    garment = replace(garment, vertices=matched.vertices)
+    smoothing = _smoothing(garment, matched.torn)
 
-    def carried(nodes: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found, shares = strongest_influences(mended @ _weights(laid.there, nodes, weights), nodes.shape[1])
+    def transferred(nodes: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, shares = strongest_influences(smoothing @ _weights(matched.there, nodes, weights), nodes.shape[1])
         return found.astype(np.int32), shares
 
-    influence_nodes, influence_weights = carried(model.influence_nodes, model.influence_weights)
-    engine_nodes, engine_weights = carried(model.engine_nodes, model.engine_weights)
+    influence_nodes, influence_weights = transferred(model.influence_nodes, model.influence_weights)
+    engine_nodes, engine_weights = transferred(model.engine_nodes, model.engine_weights)
     detail = model.detail
     if detail is not None:
-        nodes, weights = carried(detail.nodes, detail.weights)
+        nodes, weights = transferred(detail.nodes, detail.weights)
         detail = replace(detail, nodes=nodes, weights=weights)
     return replace(
         model,
@@ -53,7 +53,7 @@ def carried_model(model: GarmentModel, garment: Garment, *, name: str) -> Garmen
         engine_nodes=engine_nodes,
         engine_weights=engine_weights,
         detail=detail,
-        training={"carried_from": model.name, "bending_octaves": list(model.bending_octaves)},
+        training={"transferred_from": model.name, "bending_octaves": list(model.bending_octaves)},
         scores={},
     )
 
@@ -66,7 +66,7 @@ def _weights(there: Counterparts, nodes: np.ndarray, weights: np.ndarray) -> np.
     return dense
 
 
-def _mended(garment: Garment, torn: np.ndarray) -> csr_array:
+def _smoothing(garment: Garment, torn: np.ndarray) -> csr_array:
     """(n, n): each vertex itself, but near torn (n,) ones a mean over the cloth about it, `SMOOTHED` wide."""
     joined = joined_vertices(garment)
     once = (eye_array(len(torn)) + diags_array(1 / joined.sum(axis=1)) @ joined) / 2

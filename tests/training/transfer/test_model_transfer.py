@@ -8,8 +8,8 @@ import pytest
 from physkin_core import Draper, Garment, load_garment_model
 from physkin_core.model.model_file import save_garment_model
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_training.networks.carried_model import carried_model
-from physkin_training.networks.laid_on import Counterparts, lay_on
+from physkin_training.transfer.matched_folds import Counterparts, match_folds
+from physkin_training.transfer.model_transfer import transferred_model
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def test_a_cropped_garment_drapes_as_the_whole(tank_top, template, tmp_path):
     whole = tank_top.garment
     kept = whole.vertices[whole.faces][:, :, 2].mean(axis=1) > 0.1
     garment, vertices = shuffled(whole, kept)
-    model = carried_model(tank_top, garment, name="cropped")
+    model = transferred_model(tank_top, garment, name="cropped")
     save_garment_model(model, tmp_path / "cropped.safetensors")
     model = load_garment_model(tmp_path / "cropped.safetensors")
-    assert model.name == "cropped" and model.training["carried_from"] == "tanktop" and not model.scores
+    assert model.name == "cropped" and model.training["transferred_from"] == "tanktop" and not model.scores
     positions, gravity = everyday_poses(model.rig)
     own, other = (Draper(each, template, fit=0.0) for each in (model, tank_top))
     apart = own.drape(positions[5], gravity[5])[:, :3] - other.drape(positions[5], gravity[5])[vertices, :3]
@@ -57,7 +57,7 @@ def test_cloth_is_laid_in_the_folds_of_the_other():
 
     x, y = np.arange(-25, 26) / 100, np.arange(-15, 16) / 100
     flat, other = sheet(0.8 * x, y[3:-3], 0 * x), sheet(x, y, ripple(x))
-    laid = lay_on(flat, other)
+    laid = match_folds(flat, other)
     assert np.abs(laid.vertices[:, 2] - ripple(laid.vertices[:, 0])).mean() < 1e-3 and not laid.torn.any()
     apart = np.linalg.norm(laid.vertices[flat.edges[:, 0]] - laid.vertices[flat.edges[:, 1]], axis=1)
     assert np.abs(apart / flat.edge_lengths - 1).mean() < 0.01

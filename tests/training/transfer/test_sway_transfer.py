@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from physkin_core import load_body_model, load_garment_model
-from physkin_training.networks.carried_sway import carried_sway
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.sampling.posed_bodies import BodySet
+from physkin_training.transfer.sway_transfer import transferred_sway
 
 CPU = torch.device("cpu")
 
@@ -37,7 +37,7 @@ def test_bodies_keep_their_codes_where_training_has_changed_modulations(skirt):
     for name in ("output.weight", "output.bias"):
         encoder[name] = (mixed @ encoder[name]).astype(np.float32)
     trained = replace(skirt, hyper_modulator=encoder)
-    sway = carried_sway(skirt, trained, body_model, CPU)
+    sway = transferred_sway(skirt, trained, body_model, CPU)
     had, kept, lost = (
         codes(model, network, body_model)
         for model, network in ((skirt, skirt.sway), (trained, sway), (trained, skirt.sway))

@@ -12,8 +12,8 @@ from training.small_runs import SMALL_DETAIL, exported, small_config
 from physkin_core.model.model_file import save_garment_model
 from physkin_training.config import DetailConfig, as_toml, load_config
 from physkin_training.networks.export import agreement
-from physkin_training.networks.warm_start import NEW_INFLUENCE, take_over_model
 from physkin_training.train.trainer import Trainer
+from physkin_training.transfer.warm_start import NEW_INFLUENCE, take_over_model
 
 CPU = torch.device("cpu")
 

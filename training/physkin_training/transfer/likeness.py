@@ -10,7 +10,7 @@ import numpy as np
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_paths import openings
-from physkin_training.networks.laid_on import BEYOND, Counterparts
+from physkin_training.transfer.matched_folds import BEYOND, Counterparts
 
 __all__ = ["NEAR", "Likeness"]
 

@@ -1,8 +1,8 @@
-"""A garment laid on another one's cloth: its own fabric, in the other one's folds.
+"""Gives a garment's mesh the folds of another garment, without stretching its cloth.
 
-Networks that were trained on a garment take out the folds that its rest mesh lies in, vertex by vertex. On a mesh with
-folds of its own these stay, and those of the other come on top. So cloth slides over that of the other garment until
-it lies in its folds without being stretched; what is wider, longer or looser there, on the whole, is kept.
+Networks that were trained on a garment remove the folds of its rest mesh, vertex by vertex. On another mesh its own
+folds would stay, and the negatives of the first one's would come on top. So the cloth slides over that of the other
+garment until it has the same folds; where it is wider, longer or looser on the whole, it stays so.
 
 Dimensions: `n` vertices, `v` and `f` those and the faces of the other garment. Metres, canonical pose.
 """
@@ -23,7 +23,7 @@ from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.quality import closest_points
 
-__all__ = ["Counterparts", "LaidOn", "joined_vertices", "lay_on"]
+__all__ = ["Counterparts", "MatchedFolds", "joined_vertices", "match_folds"]
 
 MIXED = 3
 """Closest vertices whose weights are mixed, by the square of their distance."""
@@ -32,16 +32,16 @@ SOFTENED = 1e-3
 BEYOND = 0.05
 """[m] Cloth farther than this from all of another garment's has no counterpart there."""
 FOLDS = 0.15
-"""[m] Shapes narrower than this are folds and are taken over; wider ones are the cut's."""
-HELD = 0.1
-"""How firmly cloth is held on the other garment's, against its edges' lengths."""
+"""[m] Shapes narrower than this are folds and are taken over; wider ones belong to the cut."""
+PULL = 0.1
+"""How strongly cloth is pulled onto the other garment's, compared with how strongly its edges keep their lengths."""
 SLIDING = 0.05
-"""Share of that along the cloth, on which it slides."""
+"""Share of the pull that acts along the cloth, so that it can slide."""
 ROUNDS = 60
 PARTED = 2.0
-"""Counterparts of neighbours that are this many times as far apart as these are torn."""
+"""Neighbours are torn apart if their counterparts are more than this many times as far apart as they are."""
 FACING = 0.2
-"""Cosine from which on cloth faces the same way: what lies behind is the other side, or the other leg."""
+"""Least cosine between normals of cloth that faces the same way; otherwise it is the other side, or the other leg."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,17 @@ class Counterparts:
 
 
 @dataclass(frozen=True)
-class LaidOn:
-    """vertices (n, 3) [m]: the garment's, laid on the other one's cloth. there: its counterparts then; torn (n,) bool:
-    vertices whose neighbours' counterparts are not beside their own."""
+class MatchedFolds:
+    """vertices (n, 3) [m] of the garment with the other one's folds, and where they lie on that one's cloth; torn (n,)
+    bool: vertices whose neighbours lie elsewhere on it."""
 
     vertices: np.ndarray
     there: Counterparts
     torn: np.ndarray
 
 
-def lay_on(garment: Garment, other: Garment) -> LaidOn:
-    """Lay a garment on the cloth of another one that lies about where it does."""
+def match_folds(garment: Garment, other: Garment) -> MatchedFolds:
+    """Give a garment the folds of another one that is worn in about the same place."""
     first = Counterparts.of(garment, other)
     beyond = first.distance > BEYOND
     joined = joined_vertices(garment)
@@ -85,7 +85,7 @@ def lay_on(garment: Garment, other: Garment) -> LaidOn:
     wide = (FOLDS / garment.edge_lengths.mean()) ** 2
     offset = splu((eye_array(len(beyond)) + wide * steps).tocsc()).solve(garment.vertices - first.mean(other.vertices))
     facing, normals = (vertex_normals(each.vertices, each.faces) for each in (garment, other))
-    solve = splu((steps + HELD * eye_array(len(beyond))).tocsc()).solve
+    solve = splu((steps + PULL * eye_array(len(beyond))).tocsc()).solve
     a, b = garment.edges.T
     ends = csr_array((np.repeat([1.0, -1.0], len(a)), (np.concatenate([a, b]), np.tile(np.arange(len(a)), 2))))
 
@@ -106,7 +106,7 @@ def lay_on(garment: Garment, other: Garment) -> LaidOn:
         pull[beyond | turned] = 0.0
         edges = vertices[a] - vertices[b]
         sewn = edges * (garment.edge_lengths / np.linalg.norm(edges, axis=1))[:, None]
-        vertices = solve(ends @ sewn + HELD * (vertices + pull))
+        vertices = solve(ends @ sewn + PULL * (vertices + pull))
     there, _, turned = counterparts(vertices)
     near, share = (
         np.where(turned[:, None], old, new) for old, new in ((first.near, there.near), (first.share, there.share))
@@ -117,7 +117,7 @@ def lay_on(garment: Garment, other: Garment) -> LaidOn:
     apart |= _parted(there, other, a, b, garment.edge_lengths)
     for end in (a, b):
         np.logical_or.at(torn, end, apart)
-    return LaidOn(vertices, there, torn)
+    return MatchedFolds(vertices, there, torn)
 
 
 def _parted(there: Counterparts, other: Garment, a: np.ndarray, b: np.ndarray, lengths: np.ndarray) -> np.ndarray:

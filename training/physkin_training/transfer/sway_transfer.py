@@ -1,7 +1,7 @@
 """A sway network for a model whose networks were trained on from those of the model that it was learnt for.
 
-The garment nodes that it moves are the same. What it is told of a body is a code, read from the body's modulation, and
-training changes modulations: so the code is read anew, such that bodies have the codes that they had.
+It moves the same garment nodes. It reads a code from a body's modulation, and training changes modulations; so the code
+is read in another way, such that every body keeps its code.
 
 Dimensions: `S` bodies, each in the template and made to measure; `M` modulation of the pose modulator, `c` code.
 """
@@ -18,15 +18,17 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_training.networks.export import drape_from_model, encode_bodies
 
-__all__ = ["carried_sway"]
+__all__ = ["transferred_sway"]
 
 BODIES, POINTS = 64, 512
-"""Training bodies, and points of each that the encoder sees: an eighth, as for rounding."""
+"""Training bodies, and points of each that the encoder sees: an eighth of all, as for rounding."""
 RIDGE = 1e-2
 """Of the largest spread of modulations; below it, directions are not told apart by so few bodies."""
 
 
-def carried_sway(start: GarmentModel, model: GarmentModel, body_model: BodyModel, device: torch.device) -> SwayNetwork:
+def transferred_sway(
+    start: GarmentModel, model: GarmentModel, body_model: BodyModel, device: torch.device
+) -> SwayNetwork:
     """The sway network of `start`, which has one, for `model`, which has its garment nodes and was trained from it."""
     sway = start.sway
     chosen = body_model.train_bodies[np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]]
