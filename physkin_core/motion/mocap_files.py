@@ -103,7 +103,7 @@ def read_bvh(text: str) -> Skeleton:
             continue
         if words[0] in ("ROOT", "JOINT"):
             current = len(joints)
-            joints.append((words[1], stack[-1] if stack else -1, np.zeros(3)))
+            joints.append((line.split(None, 1)[1].strip(), stack[-1] if stack else -1, np.zeros(3)))
             channels.append([])
         elif words[0] == "End":
             current = None

@@ -14,10 +14,13 @@ from physkin_core.rig.ball_joints import BallJoint
 from physkin_core.rig.canonical_pose import limb_rotations
 from physkin_core.rig.rig import Rig
 
-__all__ = ["VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
+__all__ = ["HUMANOID_BONES", "VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
 
 VRM_AXES = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 """VRM's X, Y and Z in the root frame (X forward, Y left, Z up)."""
+HUMANOID_BONES = {"hips": "root", "spine": "spine04", "chest": "spine02", "upperChest": "spine01"}
+HUMANOID_BONES |= {"neck": "neck01", "head": "head"}
+"""Rig bone at which each humanoid bone begins; the limbs follow below."""
 TRUNK = {"spine": "spine05", "chest": "spine03", "upperChest": "spine02", "neck": "neck01", "head": "head"}
 # Humanoid bone -> rig bone and axes of its joints in the rig's order, the rig bone that shares the twist, and whether
 # T-pose alignments are those of the limb above and of its own.
@@ -30,6 +33,8 @@ LIMBS = {
     "LowerLeg": ("lowerleg01", "y", None, ("upperleg01", "lowerleg01")),
     "Foot": ("foot", "yz", None, ("lowerleg01", None)),  # flat on the floor in both poses
 }
+for _side in ("left", "right"):
+    HUMANOID_BONES |= {_side + bone: f"{target}.{_side[0].upper()}" for bone, (target, *_) in LIMBS.items()}
 
 
 def vrm_ball_joints(rig: Rig) -> dict[str, BallJoint]:

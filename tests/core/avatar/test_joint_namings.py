@@ -1,14 +1,12 @@
 """Skeletons of the namings that tools use, and of none: every bone is found, and the person is the same."""
 
-import json
-
 import numpy as np
 import pytest
 from gltf_person import BODY, PERSON, RIG, distances, load_document, person_document
 
 from physkin_core.avatar.avatar import AvatarError
-from physkin_core.rig.bone_naming import BONE_MAPS, limb_joints
-from physkin_core.rig.bone_structure import bones_by_limbs, bones_by_structure
+from physkin_core.rig.human_skeleton import find_human_skeleton
+from physkin_core.rig.vrm_bones import HUMANOID_BONES
 from physkin_prepare.avatar import t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
@@ -80,9 +78,14 @@ def test_namings(tmp_path, names):
     assert avatar.warnings == ()
 
 
+def _by_shape(heads, parents):
+    """Joint by rig bone of a skeleton whose joints have no names."""
+    return find_human_skeleton([f"Bone.{k:03d}" for k in range(len(heads))], parents, heads, RIG).joints
+
+
 def _vrm_skeleton(heads):
     """Joints of the bones that a VRM has: as `_skeleton_of`."""
-    return _skeleton_of(json.loads((BONE_MAPS / "vrm.json").read_text())["bones"].values(), heads)
+    return _skeleton_of(HUMANOID_BONES.values(), heads)
 
 
 def _skeleton_of(bones, heads):
@@ -111,7 +114,7 @@ def _with_ends(bones, parents, heads):
 @pytest.mark.parametrize("ends", [False, True])
 @pytest.mark.parametrize("t_pose", [False, True])
 @pytest.mark.parametrize("body", range(4))
-def test_bones_by_structure(body, t_pose, ends, whole_rig):
+def test_bones_by_shape(body, t_pose, ends, whole_rig):
     """Limbs of several people, in A- and T-pose, with and without fingers, toes and joints that divide limbs."""
     coefficients = BODY.held_out_bodies[body]
     heads = t_posed_body(BODY, coefficients)[1] if t_pose else BODY.bones(coefficients)[0].astype(np.float64)
@@ -120,7 +123,7 @@ def test_bones_by_structure(body, t_pose, ends, whole_rig):
         bones, parents, heads = _vrm_skeleton(heads)
     if ends:
         parents, heads = _with_ends(bones, parents, heads)
-    found = bones_by_structure(heads, parents, RIG)
+    found = _by_shape(heads, parents)
     for side in "LR":
         for bone in LIMB_BONES[1:]:
             assert bones[found[f"{bone}.{side}"]] == RIG.bone_index(f"{bone}.{side}"), f"{bone}.{side}"
@@ -167,11 +170,11 @@ def _usual_skeleton(*, fingers, toes, twist, armature, hand_ends):
 @pytest.mark.parametrize("toes", [0, 1, 2])
 @pytest.mark.parametrize("fingers", [0, 5])
 @pytest.mark.parametrize("more", [(), ("twist",), ("armature",), ("hand_ends",), ("twist", "hand_ends")])
-def test_usual_skeletons_by_structure(axes, toes, fingers, more):
+def test_usual_skeletons_by_shape(axes, toes, fingers, more):
     """With and without fingers, toes, twist joints, ends of hands and a node above the hips; Y up and Z up."""
     options = {name: name in more for name in ("twist", "armature", "hand_ends")}
     names, parents, heads = _usual_skeleton(fingers=fingers, toes=toes, **options)
-    found = bones_by_structure(heads[:, axes], parents, RIG)
+    found = _by_shape(heads[:, axes], parents)
     expected = {name for name in names if name in RIG.bone_names}
     assert {bone: names[joint] for bone, joint in found.items() if bone in expected} == {
         bone: bone for bone in expected
@@ -313,7 +316,7 @@ def test_limbs_whose_joints_are_counted(tmp_path):
     assert distances(avatar.vertices, PERSON.vertices).mean() < 8
     for bone in [f"{bone}.{side}" for bone in LIMB_BONES[1:] for side in "LR"]:
         assert distances(*(body.bone_heads[RIG.bone_index(bone)] for body in (avatar, PERSON))) < 12, bone
-    assert "by the limbs that they name these were taken: 'Skeleton_arm_joint_L__4_' for" in avatar.warnings[0]
+    assert "not by name, these joints were taken: 'Skeleton_arm_joint_L__4_' for" in avatar.warnings[0]
 
 
 def test_a_refusal_says_what_was_taken_for_what(tmp_path):
@@ -323,32 +326,32 @@ def test_a_refusal_says_what_was_taken_for_what(tmp_path):
     with pytest.raises(AvatarError) as refused:
         load_document(tmp_path, _person_on(bones, parents, heads, names, vertices=vertices))
     said = str(refused.value).split("person.glb: ")[1]
-    assert said.startswith("no joint for 11 of the 12 rig bones it must have: upperarm01.L, lowerarm01.L, ")
-    assert "taken: 'left thigh_1' as upperleg01.L; not recognised: 'Skeleton_torso_joint_1'" in said
+    assert said.startswith(
+        "no joint for 6 of the 12 rig bones it must have: upperleg01.L, lowerleg01.L, foot.L and 3 more; "
+    )
+    assert "taken: 'Skeleton_arm_joint_L__4_'" in said and "'left thigh_1', 'member_1' and 8 more. Name joints" in said
     assert len(said) < 300
 
 
 def test_limbs_that_are_no_chains_are_not_guessed_at():
-    """Two joints of an arm, or a leg of which the parts are not each other's."""
+    """A leg of which the parts are not each other's."""
     _, parents, heads, names, _ = _striding_skeleton()
-    limbs = limb_joints(names)
-    assert len(bones_by_limbs(limbs, heads, parents, RIG)) >= 12
-    assert bones_by_limbs(limbs | {("arm", "L"): limbs["arm", "L"][:2]}, heads, parents, RIG) is None
-    mixed = limbs["leg", "L"][:2] + limbs["leg", "R"][2:]
-    assert bones_by_limbs(limbs | {("leg", "L"): mixed}, heads, parents, RIG) is None
+    assert not find_human_skeleton(names, parents, heads, RIG).missing
+    mixed = [name.replace("leg_joint_L_3", "leg_joint_R_9") for name in names]
+    assert "lowerleg01.L" in find_human_skeleton(mixed, parents, heads, RIG).missing
 
 
 def test_what_is_no_person(tmp_path):
     """A chain, a star, a single place and a lopsided body are not guessed at."""
     heads = np.arange(30.0).reshape(-1, 3)
-    assert bones_by_structure(heads, np.arange(-1, 9), RIG) is None
-    assert bones_by_structure(heads, np.array([-1] + [0] * 9), RIG) is None
-    assert bones_by_structure(np.zeros((10, 3)), np.arange(-1, 9), RIG) is None
+    assert _by_shape(heads, np.arange(-1, 9)) == {}
+    assert _by_shape(heads, np.array([-1] + [0] * 9)) == {}
+    assert _by_shape(np.zeros((10, 3)), np.arange(-1, 9)) == {}
     bones, parents, heads = _vrm_skeleton(PERSON.bone_heads.astype(np.float64))
     lopsided = heads.copy()
     lopsided[bones.index(RIG.bone_index("wrist.L"))] += [0.5, 0, 0.4]
     lopsided[bones.index(RIG.bone_index("foot.L"))] += [0.5, 0, 0.4]
-    assert bones_by_structure(lopsided, parents, RIG) is None
+    assert _by_shape(lopsided, parents) == {}
     names = [f"Bone.{k}" for k in range(RIG.bone_count)]
     crooked = PERSON.bone_heads + np.array([0, 0, 1.0]) * (np.arange(RIG.bone_count) % 3)[:, None]
     with pytest.raises(AvatarError, match="no joint for 12 of the 12 rig bones it must have"):

@@ -113,4 +113,4 @@ def recorded(name: str) -> tuple[Skeleton, dict[str, int]]:
     path = CLIPS / name
     text = lzma.open(path, "rt").read() if path.suffix == ".xz" else path.read_text()
     clip = read_bvh(text) if ".bvh" in name else read_amc(text, (CLIPS / f"{name[:2]}.asf").read_text(), RATE_HZ)
-    return clip, find_joints(clip)
+    return clip, find_joints(clip)[0]
