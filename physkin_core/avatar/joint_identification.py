@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
-from physkin_core.rig.human_skeleton import LIMB_BONES, HumanSkeleton, find_human_skeleton, required_bones
+from physkin_core.rig.human_skeleton import LIMB_BONES, HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, RigError
 
 __all__ = ["identify_bones"]
@@ -37,7 +37,7 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, HumanSkele
     longer, added = _with_limb_ends(mesh, skeleton.joints)
     missing = tuple(bone for bone in skeleton.missing if bone not in added)
     if missing:
-        refused = replace(skeleton, missing=missing).refusal(mesh.joint_names, len(required_bones(rig)))
+        refused = replace(skeleton, missing=missing).refusal(mesh.joint_names, rig)
         raise RigError(f"avatar {mesh.source}: {refused}")
     remarks = skeleton.remarks(mesh.joint_names)
     if added:

@@ -22,7 +22,7 @@ from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.progress import Watch
-from physkin_core.rig.human_skeleton import find_human_skeleton, required_bones
+from physkin_core.rig.human_skeleton import find_human_skeleton
 from physkin_core.rig.rig import Rig
 
 __all__ = ["AMC_RATE_HZ", "find_joints", "load_mocap"]
@@ -184,7 +184,7 @@ def find_joints(skeleton: Skeleton) -> tuple[dict[str, int], tuple[str, ...]]:
     rig = load_body_model().rig
     human = find_human_skeleton(names, parents, skeleton.at_rest(), rig)
     if human.missing:
-        raise ContentError(human.refusal(names, len(required_bones(rig))))
+        raise ContentError(human.refusal(names, rig))
     found = {f"{part}.{side}": human.joints[f"{bone}.{side}"] for part, bone in PARTS.items() for side in "LR"}
     top = next((human.joints[bone] for bone in ("head", "neck01") if bone in human.joints), None)
     if top is None:
