@@ -1,7 +1,7 @@
 """Retargeting of motion from another humanoid to the default rig.
 
 The rig follows the directions and hinges of the source's limbs: a bounded least-squares problem over the rig's degrees
-of freedom, all frames of a clip at once (`native/src/motion/pose_solver.cpp`). A light pull towards the canonical pose
+of freedom, all frames of a clip at once (`pose_solver`). A light pull towards the canonical pose
 shares one source rotation among the rig's bones (one chest joint, three spine bones; a limb's twist over its two
 halves).
 
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
-from physkin_core.native_module import native
+from physkin_core.motion.pose_solver import PoseSolver
 from physkin_core.progress import Watch
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
@@ -42,7 +42,8 @@ FOOT_SHARE = 0.5  # the rig's ankle does not turn about the shin: its foot must 
 PULL = 0.03  # towards the canonical pose [1/rad]; a limb's direction counts 1
 SMOOTHING = 0.3  # towards the mean of the frames before and after [1/rad]
 MAX_STEP = 0.4  # [rad] an iteration
-ITERATIONS = 60
+STRIDE = 4  # frames of a clip that is solved first, which is faster and smoother
+ITERATIONS = 30, 15  # of these, and then of all frames
 BLOCK = 128  # frames posed together: bounds the memory
 
 
@@ -59,16 +60,17 @@ def retarget(
     """
     bones = [rig.bone_index(bone) for bone, _ in FOLLOWERS.values()]
     axes, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
-    axes, targets = np.stack(axes), np.ascontiguousarray(np.stack(targets, axis=1))
+    axes, targets = np.stack(axes), np.stack(targets, axis=1)
     turns, solver = _pose_solver(rig, bones, axes)
 
     q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
-    here = np.ascontiguousarray(q[:, turns])
-    there = np.empty_like(here)
-    for done in range(ITERATIONS):
-        solver.step(targets, here, there)
-        here, there = there, here
-        watch((done + 1) / ITERATIONS)
+    frames = np.arange(len(targets))
+    here = q[::STRIDE, turns]
+    for done in range(sum(ITERATIONS)):
+        if done == ITERATIONS[0]:
+            here = np.stack([np.interp(frames, frames[::STRIDE], turn) for turn in here.T], axis=1)
+        here = solver.step(targets[::STRIDE] if done < ITERATIONS[0] else targets, here)
+        watch((done + 1) / sum(ITERATIONS))
     q[:, turns] = here
     turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
@@ -131,7 +133,7 @@ def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[n
     return here @ weights, relative @ there @ weights
 
 
-def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], native.PoseSolver]:
+def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], PoseSolver]:
     """Degrees of freedom that are solved for, parents first, and what solves for them so that the weighted axes
     (followers, 3, 3) of rig bones come to lie where they should."""
     turns: list[int] = []
@@ -144,7 +146,7 @@ def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int
                 parents.append(last[bone])
                 last[bone] = len(turns)
                 turns.append(dof)
-    numbers = np.column_stack([rig.dof_axes, rig.rest, rig.lower, rig.upper])[turns]
     followers = [last[bone] for bone in bones]
-    pulls = [PULL, SMOOTHING, MAX_STEP]
-    return turns, native.PoseSolver(parents, numbers.tolist(), followers, axes.reshape(-1, 9).tolist(), pulls)
+    numbers = (rig.dof_axes[turns], rig.rest[turns], rig.lower[turns], rig.upper[turns])
+    pulls = {"rest_pull": PULL, "smoothing": SMOOTHING, "longest_step": MAX_STEP}
+    return turns, PoseSolver(parents, *numbers, followers, axes, **pulls)

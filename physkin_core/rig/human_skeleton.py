@@ -38,6 +38,8 @@ CANDIDATES = 64
 SEGMENT_RATIO = {"arm": 1.12, "leg": 0.9}
 """Length of the upper over the lower segment; rigs differ in where hips are."""
 RATIO_WEIGHT, MOST_SHAPE = 4.0, 3.0
+UNLIKELY_RATIO = 0.6
+"""Logarithm of that over `SEGMENT_RATIO` from which on no joint is taken without its name."""
 ANKLE_WEIGHT, MOST_TURN = 2.0, 0.6
 """Of the turn from shin to foot, 1 less its cosine."""
 DIFFERENCE_WEIGHT, REACH_WEIGHT = 2.0, 2.0
@@ -251,8 +253,8 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     upper = np.maximum(tree.along[middle] - tree.along[first], 1e-6)
     lower = np.maximum(tree.along[end] - tree.along[middle], 1e-6)
     lower[end < 0] = upper[end < 0] / SEGMENT_RATIO[kind]
-    shape = RATIO_WEIGHT * np.log(upper / lower / SEGMENT_RATIO[kind]) ** 2 - np.log(upper + lower)
-    shape = np.clip(shape, 0, MOST_SHAPE)
+    ratio = np.abs(np.log(upper / lower / SEGMENT_RATIO[kind]))
+    shape = np.clip(RATIO_WEIGHT * ratio**2 - np.log(upper + lower), 0, MOST_SHAPE)
     if kind == "leg":
         shape -= ANKLE_WEIGHT * np.where(end >= 0, np.minimum(tree.turns[end], MOST_TURN), 0)
     branched = tree.branchings[np.where(end < 0, middle, end)] > tree.branchings[first]
@@ -261,7 +263,8 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
         named = np.stack([tree.name_cost(bone, side)[of] for bone, of in zip(LIMB_BONES[kind], triples.T)], axis=1)
         named[end < 0, 2] = NO_END
         told[side] = (named < UNNAMED).sum(axis=1)
-        costs[side] = named.sum(axis=1) + shape + np.where((told[side] < 2) & branched, CONTRADICTED, 0)
+        doubtful = (told[side] < 3) & (ratio > UNLIKELY_RATIO) | (told[side] < 2) & branched
+        costs[side] = named.sum(axis=1) + shape + np.where(doubtful, CONTRADICTED, 0)
         costs[side][0], told[side][0] = LACKING, 3
         cheapest = np.argsort(costs[side], kind="stable")[:CANDIDATES]
         best[side] = np.array([0, *(triple for triple in cheapest if costs[side][triple] < LACKING)])
@@ -278,7 +281,7 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     mirrored = (images[joints[:, 0]] == joints[:, 1]).all(axis=1) & (joints >= 0).all(axis=(1, 2))
     mirrored &= (np.abs(tree.heads[firsts[0], axis]) > LIMB_OFFSET[kind]) & (meeting >= 0)
     named = (told["L"][left] >= 2) & (told["R"][right] >= 2)
-    apart = ~(tree.below[firsts] | tree.below[firsts[::-1]]) & ((joints[:, 0, 2] < 0) == (joints[:, 1, 2] < 0))
+    apart = ~(tree.below[firsts] | tree.below[firsts[::-1]])
     cost[~np.where(both, apart & (named | mirrored), named)] = np.inf
     cheapest = [*np.argsort(cost, kind="stable")[:CANDIDATES], 0]
     return [_Pair(joints[k], cost[k], int(meeting[k]), bool(named[k])) for k in cheapest if np.isfinite(cost[k])]

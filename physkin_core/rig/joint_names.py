@@ -23,7 +23,7 @@ SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 LIMBS = {"arm": "arm", "arms": "arm", "leg": "leg", "legs": "leg"}
 SECOND_CHOICE = 1.0
 NUMBERED = 0.3
-"""Of a name that is known without its number: exporters number joints, and rigs their copies and parts."""
+"""Of a name that is known without the number that an exporter or Blender put behind it, `_12` or `.001`."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class JointName:
 @cache
 def read_name(name: str) -> JointName:
     """What a joint's name says; nothing of names that say nothing."""
-    words, side = _words(name)
     known = _bones_by_name()
-    numberless = [word for word in words if not word.isdigit()]
-    for cost, spelling in ((0.0, "".join(words)), (NUMBERED, "".join(numberless))):
+    for cost, each in ((0.0, name), (NUMBERED, re.sub(r"[_.]\d+$", "", name))):
+        words, side = _words(each)
+        spelling = "".join(words)
         if spelling in known:
             return JointName({bone: cost + more for bone, more in known[spelling].items()}, side)
         if not side and spelling[:1] in SIDES and spelling[1:] in known:  # AMC says `lfemur`
@@ -64,7 +64,7 @@ def _bones_by_name() -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for bone, choices in table.items():
         for rank, names in enumerate(choices):
-            for name in names:
+            for name in (bone, *names):
                 found.setdefault(name.replace("_", ""), {}).setdefault(bone, rank * SECOND_CHOICE)
     return found
 
