@@ -42,8 +42,9 @@ UNLIKELY_RATIO = 0.6
 """Logarithm of that over `SEGMENT_RATIO` from which on no joint is taken without its name."""
 ANKLE_WEIGHT, MOST_TURN = 2.0, 0.6
 """Of the turn from shin to foot, 1 less its cosine."""
-DIFFERENCE_WEIGHT, REACH_WEIGHT = 2.0, 2.0
-"""Of the logarithm of left over right lengths, and of the way from where limbs meet to where they begin."""
+DIFFERENCE_WEIGHT, UNLIKE, REACH_WEIGHT = 2.0, 0.25, 2.0
+"""Of the logarithm of left over right lengths, from which on no joint is taken without its name; and of the way from
+where limbs meet to where they begin."""
 ASYMMETRY, MIDDLE, MIRROR_GAP = 0.03, 0.02, 0.06
 """Of a skeleton with nameless limbs: mean distance of joints from mirror images, those as near to the middle apart, and
 the most of a limb's joint."""
@@ -272,7 +273,8 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     joints, both = np.stack([triples[left], triples[right]], axis=1), (left > 0) & (right > 0)
     firsts = joints[:, 0, 0], joints[:, 1, 0]
     meeting = np.where(both, tree.meeting(*firsts), -1)
-    unlike = sum(np.minimum(np.abs(np.log(each[left] / each[right])), 1) for each in (upper, lower))
+    differences = np.abs(np.log([each[left] / each[right] for each in (upper, lower)]))
+    unlike = np.minimum(differences, 1).sum(axis=0)
     reach = sum(np.minimum(np.abs(tree.along[each] - tree.along[meeting]), 0.5) for each in firsts)
     cost = (
         costs["L"][left] + costs["R"][right] + both * DIFFERENCE_WEIGHT * unlike + (meeting >= 0) * REACH_WEIGHT * reach
@@ -280,7 +282,9 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     images, axis = tree.mirror_images()
     mirrored = (images[joints[:, 0]] == joints[:, 1]).all(axis=1) & (joints >= 0).all(axis=(1, 2))
     mirrored &= (np.abs(tree.heads[firsts[0], axis]) > LIMB_OFFSET[kind]) & (meeting >= 0)
-    named = (told["L"][left] >= 2) & (told["R"][right] >= 2)
+    told_of_both = np.minimum(told["L"][left], told["R"][right])
+    alike = (differences < UNLIKE).all(axis=0) | (joints[:, :, 2] < 0).any(axis=1)
+    named = (told_of_both >= 2) & (alike | (told_of_both == 3))
     apart = ~(tree.below[firsts] | tree.below[firsts[::-1]])
     cost[~np.where(both, apart & (named | mirrored), named)] = np.inf
     cheapest = [*np.argsort(cost, kind="stable")[:CANDIDATES], 0]
