@@ -19,7 +19,7 @@ import numpy as np
 
 from physkin_core.file_reading import shown
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
-from physkin_core.rig.joint_names import plain_name, read_name
+from physkin_core.rig.joint_names import plain_name, read_name, without_common_prefix
 from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["LIMB_BONES", "HumanSkeleton", "find_human_skeleton", "required_bones", "spine_bones"]
@@ -87,9 +87,12 @@ class HumanSkeleton:
         return (*((remark,) if taken else ()), *((self.doubt,) if self.doubt else ()))
 
     def refusal(self, names: Sequence[str], rig: Rig) -> str:
-        """Which required bones are missing, which joints were taken for those that are not, and which are not known."""
+        """Which required bones are missing, which joints were taken for the others, and which for none. First come
+        those that are named for what is missing."""
         taken = [f"{shown(names[joint])} as {bone}" for bone, joint in self.joints.items() if joint < len(names)]
-        others = [shown(name) for joint, name in enumerate(names) if joint not in self.joints.values()]
+        others = [name for joint, name in enumerate(names) if joint not in self.joints.values()]
+        parts = {bone.split(".")[0] for bone in self.missing}
+        others = [shown(name) for name in sorted(others, key=lambda name: parts.isdisjoint(read_name(name).bones))]
         return (
             f"no joint for {len(self.missing)} of the {len(required_bones(rig))} rig bones it must have: "
             f"{_some(self.missing)}; taken: {_some(taken)}; not recognised: {_some(others)}. Name joints as the rig, "
@@ -136,7 +139,7 @@ def find_human_skeleton(
     if humanoid is not None:
         roles = {joint: role for role, joint in humanoid.items()}
         names = [roles.get(joint, "") for joint in range(len(names))]
-    required = required_bones(rig)
+    required, names = required_bones(rig), without_common_prefix(names)
     plain = {plain_name(name): joint for joint, name in reversed(list(enumerate(names)))}
     joints = {bone: plain[plain_name(bone)] for bone in rig.bone_names if plain_name(bone) in plain}
     costs, doubt = dict.fromkeys(joints, 0.0), ""

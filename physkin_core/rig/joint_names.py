@@ -10,17 +10,20 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-__all__ = ["JointName", "plain_name", "read_name"]
+__all__ = ["JointName", "plain_name", "read_name", "without_common_prefix"]
 
 PREFIXES = set("mixamorig def bip biped cc base valve j c m f avg character".split())
 """Words that tools put before every joint's name."""
 SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 LIMBS = {"arm": "arm", "arms": "arm", "leg": "leg", "legs": "leg"}
+COMMON = 0.6
+"""Share of joints whose names begin alike from which on that is no part of a name."""
 SECOND_CHOICE = 1.0
 NUMBERED = 0.3
 """Of a name that is known without the number that an exporter or Blender put behind it, `_12` or `.001`."""
@@ -49,6 +52,13 @@ def read_name(name: str) -> JointName:
             return JointName({bone: cost + more for bone, more in known[spelling[1:]].items()}, SIDES[spelling[0]])
     limbs = {LIMBS[word] for word in words if word in LIMBS}
     return JointName(side=side, limb=limbs.pop() if len(limbs) == 1 and side else "")
+
+
+def without_common_prefix(names: Sequence[str]) -> list[str]:
+    """Names without the first word that most of them have in common, such as the figure's own name."""
+    starts = [match[0] if (match := re.match(r"[^\W_]+[\W_]+(?=\w)", name)) else "" for name in names]
+    start, count = Counter(starts).most_common(1)[0] if starts else ("", 0)
+    return [name[len(start) :] if count > COMMON * len(names) and name.startswith(start) else name for name in names]
 
 
 def plain_name(name: str) -> str:
