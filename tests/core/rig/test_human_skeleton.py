@@ -14,7 +14,7 @@ from physkin_prepare.avatar import t_posed_body
 LIMB_BONES = ("clavicle", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
 NAMINGS = json.loads(Path(__file__).with_name("namings.json").read_text())
 """By tool: pattern of a limb's joints ({S}: side, {N}: name), names of LIMB_BONES, "-" where there is none, sides,
-pattern of the trunk's joints, their names from hips to head, and names of toes, fingers and a joint of the upper arm."""
+pattern of the trunk's joints, their names from hips to head, and names of toe, finger and a joint of the upper arm."""
 
 
 def _usual_skeleton(*, fingers=5, toes=1, twist=True, armature=False, hand_ends=False):
