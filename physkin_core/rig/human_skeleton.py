@@ -251,8 +251,9 @@ def _triples(tree: _Tree) -> np.ndarray:
     return np.concatenate([np.full((1, 3), -1), every[(every[:, :2] >= 0).all(axis=1)]])
 
 
-def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
-    """The cheapest pairs of a left and a right limb."""
+def _triple_costs(tree: _Tree, triples: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Costs (2, t) of triples as a left and as a right limb, how many of their joints names tell (2, t), and lengths
+    (2, t) of upper and lower segment."""
     first, middle, end = triples.T
     upper = np.maximum(tree.along[middle] - tree.along[first], 1e-6)
     lower = np.maximum(tree.along[end] - tree.along[middle], 1e-6)
@@ -262,36 +263,39 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     if kind == "leg":
         shape -= ANKLE_WEIGHT * np.where(end >= 0, np.minimum(tree.turns[end], MOST_TURN), 0)
     branched = tree.branchings[np.where(end < 0, middle, end)] > tree.branchings[first]
-    costs, told, best = {}, {}, {}
-    for side in "LR":
-        named = np.stack([tree.name_cost(bone, side)[of] for bone, of in zip(LIMB_BONES[kind], triples.T)], axis=1)
-        named[end < 0, 2] = NO_END
-        told[side] = (named < UNNAMED).sum(axis=1)
-        doubtful = (told[side] < 3) & (ratio > UNLIKELY_RATIO) | (told[side] < 2) & branched
-        costs[side] = named.sum(axis=1) + shape + np.where(doubtful, CONTRADICTED, 0)
-        costs[side][0], told[side][0] = LACKING, 3
-        cheapest = np.argsort(costs[side], kind="stable")[:CANDIDATES]
-        best[side] = np.array([0, *(triple for triple in cheapest if costs[side][triple] < LACKING)])
-    left, right = (grid.ravel() for grid in np.meshgrid(best["L"], best["R"], indexing="ij"))
+    bones = LIMB_BONES[kind]
+    named = np.array([[tree.name_cost(bone, side)[of] for bone, of in zip(bones, triples.T)] for side in "LR"])
+    named[:, 2, end < 0] = NO_END
+    told = (named < UNNAMED).sum(axis=1)
+    doubtful = (told < 3) & (ratio > UNLIKELY_RATIO) | (told < 2) & branched
+    costs = named.sum(axis=1) + shape + np.where(doubtful, CONTRADICTED, 0)
+    costs[:, 0], told[:, 0] = LACKING, 3
+    return costs, told, np.stack([upper, lower])
+
+
+def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
+    """The cheapest pairs of a left and a right limb, and that of none."""
+    costs, told, lengths = _triple_costs(tree, triples, kind)
+    cheapest = np.argsort(costs, axis=1, kind="stable")[:, :CANDIDATES]
+    candidates = ([0, *(k for k in some if each[k] < LACKING)] for each, some in zip(costs, cheapest))
+    left, right = (grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij"))
     joints, both = np.stack([triples[left], triples[right]], axis=1), (left > 0) & (right > 0)
     firsts = joints[:, 0, 0], joints[:, 1, 0]
     meeting = np.where(both, tree.meeting(*firsts), -1)
-    differences = np.abs(np.log([each[left] / each[right] for each in (upper, lower)]))
-    unlike = np.minimum(differences, 1).sum(axis=0)
+    differences = np.abs(np.log(lengths[:, left] / lengths[:, right]))
     reach = sum(np.minimum(np.abs(tree.along[each] - tree.along[meeting]), 0.5) for each in firsts)
-    cost = (
-        costs["L"][left] + costs["R"][right] + both * DIFFERENCE_WEIGHT * unlike + (meeting >= 0) * REACH_WEIGHT * reach
-    )
+    cost = costs[0, left] + costs[1, right] + (meeting >= 0) * REACH_WEIGHT * reach
+    cost += both * DIFFERENCE_WEIGHT * np.minimum(differences, 1).sum(axis=0)
     images, axis = tree.mirror_images()
     mirrored = (images[joints[:, 0]] == joints[:, 1]).all(axis=1) & (joints >= 0).all(axis=(1, 2))
     mirrored &= (np.abs(tree.heads[firsts[0], axis]) > LIMB_OFFSET[kind]) & (meeting >= 0)
-    told_of_both = np.minimum(told["L"][left], told["R"][right])
+    told_of_both = np.minimum(told[0, left], told[1, right])
     alike = (differences < UNLIKE).all(axis=0) | (joints[:, :, 2] < 0).any(axis=1)
     named = (told_of_both >= 2) & (alike | (told_of_both == 3))
     apart = ~(tree.below[firsts] | tree.below[firsts[::-1]])
     cost[~np.where(both, apart & (named | mirrored), named)] = np.inf
-    cheapest = [*np.argsort(cost, kind="stable")[:CANDIDATES], 0]
-    return [_Pair(joints[k], cost[k], int(meeting[k]), bool(named[k])) for k in cheapest if np.isfinite(cost[k])]
+    best = [*np.argsort(cost, kind="stable")[:CANDIDATES], 0]
+    return [_Pair(joints[k], cost[k], int(meeting[k]), bool(named[k])) for k in best if np.isfinite(cost[k])]
 
 
 def _recognised(tree: _Tree, rig: Rig) -> tuple[dict[str, int], str]:
@@ -310,18 +314,18 @@ def _recognised(tree: _Tree, rig: Rig) -> tuple[dict[str, int], str]:
 
 def _fit_together(tree: _Tree, arms: _Pair, legs: _Pair) -> bool:
     """Whether arms and legs can be those of one skeleton."""
-    limbs, named = np.stack([arms.joints, legs.joints]), arms.named and legs.named
+    named = arms.named and legs.named
     if min(arms.meeting, legs.meeting) < 0:
         return named
-    (left_arm, right_arm), (left_leg, right_leg) = tree.heads[limbs[:, :, 0]]
-    if (left_arm - right_arm) @ (left_leg - right_leg) < 0 and not _side_is_told(tree, limbs):
+    across = [tree.heads[each.joints[0, 0]] - tree.heads[each.joints[1, 0]] for each in (arms, legs)]
+    if across[0] @ across[1] < 0 and not all(_side_is_told(tree, each.joints) for each in (arms, legs)):
         return False
     arms_above = tree.below[arms.meeting, legs.meeting] and arms.meeting != legs.meeting
     return named or bool(arms_above and not tree.below[arms.joints[:, 0]][:, legs.joints[:, 0]].any())
 
 
-def _side_is_told(tree: _Tree, limbs: np.ndarray) -> bool:
-    return any(tree.said[joint].side for joint in limbs.ravel() if joint >= 0)
+def _side_is_told(tree: _Tree, joints: np.ndarray) -> bool:
+    return any(tree.said[joint].side for joint in joints.ravel() if joint >= 0)
 
 
 def _by_facing(tree: _Tree, limbs: np.ndarray) -> tuple[np.ndarray, str]:

@@ -132,6 +132,24 @@ def test_left_is_where_toes_or_knees_and_elbows_say():
     assert "left and right are a guess" in _by_shape(straight, parents).remarks([""] * len(bones))[1]
 
 
+def test_sides_that_names_tell_of_arms_only():
+    """Legs whose names say no side are the arms' way round; where none do, toes tell."""
+    bones, parents, heads = _usual_skeleton(fingers=0, twist=False)
+    parts = {
+        "upperleg01": "Thigh",
+        "lowerleg01": "Shin",
+        "foot": "Foot",
+        "upperarm01": "UpperArm",
+        "lowerarm01": "Elbow",
+    }
+    for sided in (("upperarm01", "lowerarm01", "wrist"), ()):
+        names = [parts.get(bone[:-2], "") + (f" {bone[-1]}" if bone[:-2] in sided else "") for bone in bones]
+        found = find_human_skeleton(names, parents, heads[:, [2, 0, 1]] * [-1, -1, 1], RIG)
+        assert {bone: bones[joint] for bone, joint in found.joints.items() if bone[:-2] in parts} == {
+            bone: bone for bone in bones if bone[:-2] in parts
+        }
+
+
 def test_what_is_no_person():
     """A chain, a star, a single place, a lopsided and a crooked body are not guessed at."""
     heads = np.arange(30.0).reshape(-1, 3)
