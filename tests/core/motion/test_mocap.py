@@ -193,6 +193,16 @@ def test_root_faces_x_stands_and_walks(rig, tmp_path):
     assert turned == pytest.approx(30, abs=0.5)
 
 
+def test_text_as_tools_write_it(rig, tmp_path):
+    """Keywords in any case, tabs for spaces, and line ends that were doubled on the way."""
+    path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
+    text, plain = path.read_text(), load_mocap(path, rig)[0]
+    ends = text.replace("\n", "\r\r\n")
+    for change in (text.replace("End Site", "END SITE").replace("OFFSET", "Offset"), text.replace(" ", "\t"), ends):
+        path.write_bytes(change.encode())
+        np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
+
+
 def test_fast_clips_are_thinned(rig, tmp_path):
     """120 Hz becomes 60."""
     motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 9, rate=120), rig)
@@ -259,7 +269,7 @@ def test_broken_skeletons_are_refused(old, new, reason, rig, tmp_path):
     path = write_amc(tmp_path, [POSE])
     before, found, after = (tmp_path / "07.asf").read_text().rpartition(old)
     (tmp_path / "07.asf").write_text(before + found.replace(old, new) + after)
-    with pytest.raises(MotionError, match=f"07.*{reason}"):
+    with pytest.raises(MotionError, match=reason):
         load_mocap(path, rig)
 
 
