@@ -15,7 +15,7 @@ import numpy as np
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
 from physkin_core.export.gltf_builder import write_glb
-from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
+from physkin_core.rig.canonical_pose import t_pose_rotations, turned_down_the_chain
 from physkin_core.rig.vrm_bones import HUMANOID_BONES
 from physkin_prepare.gltf_export import skinned_document
 
@@ -81,11 +81,7 @@ def t_posed_body(body: BodyModel, coefficients: np.ndarray) -> tuple[np.ndarray,
     """A body with arms straight out and legs straight down: vertices (V, 3), heads (b, 3), tails (b, 3)."""
     avatar, rig = avatar_from_body(body, coefficients), body.rig
     heads, tails = avatar.bone_heads.astype(np.float64), avatar.bone_tails.astype(np.float64)
-    straight = {name: np.zeros(3) for name in rig.bone_names}
-    for start, end in LIMB_SEGMENTS.values():
-        outward = np.array([0.0, 1.0 if start.endswith("L") else -1.0, 0.0])
-        straight[end] = straight[start] + (outward if "arm" in start else np.array([0.0, 0.0, -1.0]))
-    turns = limb_rotations(dict(zip(rig.bone_names, heads)), straight)
+    turns = t_pose_rotations(dict(zip(rig.bone_names, heads)))
     turns = {rig.bone_index(name): turn for name, turn in turns.items()}
     transforms, posed = turned_down_the_chain(heads, rig.parents, turns)
     tails = np.einsum("bij,bj->bi", transforms[..., :3], tails) + transforms[..., 3]
