@@ -55,7 +55,7 @@ def load_mocap(
     rig: the default one. skeleton: the .asf of an .amc; None: `02.asf` for `02_02.amc`. source_rate_hz: of an .amc.
     watch: told the share done. Frames of a calibration pose before the motion are left out, with a warning.
     Also returns the mean angle [degrees] between a bone's direction and the source's, by rig bone.
-    Raises MotionError: unreadable, malformed, or a joint that cannot be found by name.
+    Raises MotionError: unreadable, malformed, or a limb that is not recognised.
     """
     path = Path(path)
     if not 0 < source_rate_hz < np.inf:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, shown
+from physkin_core.rig.rig import ancestors
 
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
@@ -53,10 +54,7 @@ class Skeleton:
 
     def ancestors(self, joint: int) -> list[int]:
         """Indices from the root to the joint itself."""
-        way = [joint]
-        while self.joints[way[-1]].parent >= 0:
-            way.append(self.joints[way[-1]].parent)
-        return way[::-1]
+        return ancestors([each.parent for each in self.joints], joint)[::-1]
 
     def at(self, frames: slice) -> Skeleton:
         """With some of the frames only; the rate follows the step between them."""
