@@ -366,7 +366,7 @@ def test_reading_says_how_far_it_is(rig, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_reading_is_faster_than_watching(rig, tmp_path):
-    """At least ten times real time on one core; twenty to thirty where nothing else runs."""
+    """At least ten times real time on one core; some fifteen where nothing else runs."""
     random = np.random.default_rng(0)
     waves = random.normal(size=(len(JOINTS), 3)) * 20
     frames = [
