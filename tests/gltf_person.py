@@ -48,6 +48,23 @@ def load_document(tmp_path, builder, rig=RIG, name="person.glb"):
     return load_avatar(tmp_path / name, rig)
 
 
+def skeleton_of(bones, heads):
+    """Joints of some of the rig's bones: index in the rig, parents, heads (j, 3)."""
+    bones = sorted({RIG.bone_index(bone) for bone in bones})
+    parents = [next((bones.index(above) for above in RIG.ancestors(bone)[1:] if above in bones), -1) for bone in bones]
+    return bones, np.array(parents), heads[bones]
+
+
+def with_ends(bones, parents, heads):
+    """Toes, and five fingers a hand, as joints of their own."""
+    for side, way in (("L", 1.0), ("R", -1.0)):
+        foot, wrist = (bones.index(RIG.bone_index(f"{bone}.{side}")) for bone in ("foot", "wrist"))
+        more = [heads[foot] + [0.14, 0, -0.05]] + [heads[wrist] + [0.02 * k - 0.04, way * 0.09, 0] for k in range(5)]
+        parents = np.concatenate([parents, [foot], [wrist] * 5])
+        heads = np.concatenate([heads, more])
+    return parents, heads
+
+
 def primitive_of(builder):
     return builder.document["meshes"][0]["primitives"][0]
 

@@ -5,7 +5,6 @@
 #include "frame_binding.hpp"
 #include "joints_binding.hpp"
 #include "kernels/machine_floors.hpp"
-#include "motion_binding.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
 #include "separation_binding.hpp"
@@ -148,7 +147,6 @@ NB_MODULE(_native, module) {
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
   physkin::bind_frame(module);
   physkin::bind_joints(module);
-  physkin::bind_motion(module);
   physkin::bind_separation(module);
   nb::class_<MachineProbe>(module, "MachineProbe")
       .def(

@@ -138,7 +138,8 @@ def _fitted(vertices: np.ndarray, faces: np.ndarray, rig: Rig, source: str, *, w
 def _with_template_weights(mesh: SkinnedMesh, rig: Rig) -> SkinnedMesh:
     """The mesh on the rig's own bones, skinned like the template body posed and stretched onto them."""
     body = _template(rig, mesh.source)
-    mesh, bone_joint, _ = identify_bones(mesh, rig)
+    mesh, skeleton = identify_bones(mesh, rig)
+    bone_joint = skeleton.joints
     mesh = turn_upright(mesh, bone_joint)
     heads, tails, _ = place_bones(mesh, bone_joint, rig, root_joint=bone_joint.get(rig.bone_names[0]))
     bones, weights = carry_influences(mesh.vertices, mesh.faces, template_on_skeleton(body, heads), body)

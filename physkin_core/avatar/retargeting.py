@@ -18,9 +18,8 @@ from physkin_core.avatar.body_parts import split_body
 from physkin_core.avatar.joint_identification import identify_bones
 from physkin_core.avatar.skin_beneath import with_skin_beneath
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
-from physkin_core.rig.bone_naming import OWN_NAMES
-from physkin_core.rig.bone_structure import spine_bones
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
+from physkin_core.rig.human_skeleton import spine_bones
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
@@ -37,7 +36,8 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
 
     Raises AvatarError when required joints are missing, a limb has no length or the height is implausible.
     """
-    mesh, bone_joint, naming = identify_bones(mesh, rig)
+    mesh, skeleton = identify_bones(mesh, rig)
+    bone_joint = skeleton.joints
     mesh = turn_upright(mesh, bone_joint)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
@@ -45,7 +45,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     joint_bones = _joint_bones(mesh, bone_joint, rig)
     whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
     mesh = parts.body
-    root_joint = bone_joint.get(rig.bone_names[0]) if naming == OWN_NAMES else None
+    root_joint = bone_joint.get(rig.bone_names[0]) if skeleton.own_names else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
     closed = whole if parts.clothes else mesh  # skin may be hands and face alone
     outward = slice(None, None, _orientation(closed.vertices, closed.faces))

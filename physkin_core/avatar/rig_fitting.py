@@ -19,7 +19,7 @@ from physkin_core.avatar.surface_matching import normal_equations, spread_vertic
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.quality import closest_points
-from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, t_pose_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
@@ -143,11 +143,7 @@ def _start(vertices: np.ndarray, body: BodyModel, pose: str, yaw: float) -> _Sta
     heads = dict(zip(body.rig.bone_names, body.mean_bones[:, 0].astype(np.float64)))
     limbs = np.tile(np.eye(3), (len(LIMB_SEGMENTS), 1, 1))
     if pose == "T":
-        straight = {name: np.zeros(3) for name in heads}
-        for start, end in LIMB_SEGMENTS.values():
-            side = 1.0 if start.endswith("L") else -1.0
-            straight[end] = straight[start] + np.array([0, side, 0] if "arm" in start else [0, 0, -1.0])
-        limbs = np.stack([*limb_rotations(heads, straight).values()])
+        limbs = np.stack([*t_pose_rotations(heads).values()])
     state = _State(np.zeros(len(body.vertex_components)), limbs, 1.0, _rotation([0, 0, yaw]), np.zeros(3))
     posed, _ = _posed_surface(state, body)
     state.scale = float(np.ptp(vertices[:, 2]) / np.ptp(posed[:, 2]))

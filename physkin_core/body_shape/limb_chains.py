@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.rig.bone_naming import named_bones
-from physkin_core.rig.bone_structure import LIMB_BONES, bones_by_structure
+from physkin_core.rig.human_skeleton import LIMB_BONES, find_human_skeleton
 from physkin_core.rig.rig import Rig
 
 __all__ = ["Limb", "Limbs", "find_limbs"]
@@ -20,7 +19,7 @@ MOST_JOINTS = 8
 """Joints of a limb that may move; a rig with more keeps those nearest to the trunk free."""
 MOST_TRUNK_BONES = 4
 ENDS = {
-    f"{side} {kind}": tuple(f"{bone}.{side[0].upper()}" for bone in bones[:3])
+    f"{side} {kind}": tuple(f"{bone}.{side[0].upper()}" for bone in bones)
     for kind, bones in LIMB_BONES.items()
     for side in ("left", "right")
 }
@@ -60,7 +59,7 @@ class Limbs:
 
 def find_limbs(rig: Rig) -> Limbs:
     """Limbs, trunk and head of a rig. Raises ValueError for one without any arm or leg that has joints."""
-    found = _humanoid_bones(rig)
+    found = find_human_skeleton(rig.bone_names, rig.parents, rig.heads, load_body_model().rig).joints
     limbs, missing = [], []
     for name, wanted in ENDS.items():
         ends = tuple(found.get(bone, -1) for bone in wanted)
@@ -80,15 +79,6 @@ def find_limbs(rig: Rig) -> Limbs:
     hub = _meeting(rig, legs) if len(legs) > 1 else 0
     chest = _meeting(rig, arms) if len(arms) > 1 else hub
     return Limbs(tuple(limbs), _trunk(rig, hub, chest), found.get("head", -1), tuple(missing))
-
-
-def _humanoid_bones(rig: Rig) -> dict[str, int]:
-    """Bone of this rig by name in the default rig."""
-    default = load_body_model().rig
-    by_name, _ = named_bones(rig.bone_names, default)
-    by_shape = bones_by_structure(rig.heads, rig.parents, default) or {}
-    limbs = [bone for bones in ENDS.values() for bone in bones]
-    return max((by_name, by_shape), key=lambda found: sum(bone in found for bone in limbs))
 
 
 def _trunk(rig: Rig, hub: int, chest: int) -> tuple[int, ...]:

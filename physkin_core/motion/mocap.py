@@ -4,29 +4,25 @@ Which way the skeleton looks is read off its hips and spine at rest, or, where i
 clip's most upright frame. Elbow and knee axes are those about which the clip bends them, as files do not agree on where
 arms and palms are at rest.
 
-Head and limbs are found by the usual names, written without case, separators and namespace, with their side before or
-after: `lShldr`, `LeftArm`, `mixamorig:LeftArm`, `UpperArm_L`, `left_shoulder`. Pelvis and chest are where legs and arms
-branch.
-
 Dimensions: `T` frames, `J` joints. Offsets in the file's own unit: a clip is scaled by the length of its legs.
 """
 
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.avatar.body_model import load_body_model
 from physkin_core.file_reading import LARGEST_FILE, ContentError, read_bytes, reading
 from physkin_core.motion.calibration_pose import calibration_frames
 from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.progress import Watch
+from physkin_core.rig.human_skeleton import find_human_skeleton
 from physkin_core.rig.rig import Rig
 
 __all__ = ["AMC_RATE_HZ", "find_joints", "load_mocap"]
@@ -41,19 +37,9 @@ LARGEST_SKELETON = 1 << 22
 
 HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
 RAISED = 0.5  # cosine to the vertical from which on a limb or the trunk stands
-HEAD_NAMES = ("head", "neck1", "neck")
-# In order of preference: a name that means another joint elsewhere comes last (SMPL's foot is a toe, SOMA's leg a
-# thigh, Mixamo's shoulder a collarbone). A joint is one part only, hence knees before hips.
-LIMB_NAMES = {
-    "knee": ("shin", "lowerleg", "lowleg", "tibia", "calf", "knee", "leg"),
-    "hip": ("upleg", "upperleg", "femur", "thigh", "hip", "leg"),
-    "ankle": ("ankle", "foot"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "radius", "elbow"),
-    "shoulder": ("upperarm", "uparm", "humerus", "shldr", "arm", "shoulder"),
-    "wrist": ("wrist", "hand"),
-}
-SIDED = ("{side}{name}", "{s}{name}", "{name}{s}", "{name}{side}")
-CHAINS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
+PARTS = {"hip": "upperleg01", "knee": "lowerleg01", "ankle": "foot"}
+PARTS |= {"shoulder": "upperarm01", "elbow": "lowerarm01", "wrist": "wrist"}
+"""The rig's bone that begins at a joint of a limb."""
 
 
 def load_mocap(
@@ -69,7 +55,7 @@ def load_mocap(
     rig: the default one. skeleton: the .asf of an .amc; None: `02.asf` for `02_02.amc`. source_rate_hz: of an .amc.
     watch: told the share done. Frames of a calibration pose before the motion are left out, with a warning.
     Also returns the mean angle [degrees] between a bone's direction and the source's, by rig bone.
-    Raises MotionError: unreadable, malformed, or a joint that cannot be found by name.
+    Raises MotionError: unreadable, malformed, or a limb that is not recognised.
     """
     path = Path(path)
     if not 0 < source_rate_hz < np.inf:
@@ -79,7 +65,9 @@ def load_mocap(
         if source.frame_count / source.rate_hz * RATE_HZ > MOST_FRAMES:
             seconds = source.frame_count / source.rate_hz
             raise ContentError(f"it lasts {seconds:.3g} s, allowed are {MOST_FRAMES / RATE_HZ:.0f} s; cut it")
-        joints = find_joints(source)
+        joints, remarks = find_joints(source)
+        for remark in remarks:
+            log.warning("%s: %s", path, remark)
         calibration, limbs = calibration_frames(source, joints)
         if calibration:
             log.warning(
@@ -185,49 +173,30 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / max(float(np.linalg.norm(vector)), 1e-12)
 
 
-def find_joints(skeleton: Skeleton) -> dict[str, int]:
-    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`.
+def find_joints(skeleton: Skeleton) -> tuple[dict[str, int], tuple[str, ...]]:
+    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`;
+    and what was assumed.
 
-    Raises ContentError for a part that no joint has a name of, naming those tried and the joints there are, and for
-    limbs whose joints do not follow each other.
+    Pelvis and chest are where legs and arms branch. Raises ContentError for a part that no joint was recognised as.
     """
     names = [joint.name for joint in skeleton.joints]
-    plain = [_plain(name) for name in names]
-    found: dict[str, int] = {}
-
-    def find(part: str, wanted: Sequence[str], forms: Sequence[str] = ("{name}",), **sides: str) -> None:
-        for name in (form.format(name=name, **sides) for name in wanted for form in forms):
-            index = next((k for k, its in enumerate(plain) if its == name and k not in found.values()), None)
-            if index is not None:
-                found[part] = index
-                return
-        sided = f" with {' or '.join(sides.values())} before or after" if sides else ""
-        raise ContentError(f"no joint for {part}, called {', '.join(wanted)}{sided}; it has {', '.join(names)}")
-
-    find("neck", HEAD_NAMES)
-    for s, side in (("l", "left"), ("r", "right")):
-        for part, wanted in LIMB_NAMES.items():
-            find(f"{part}.{s.upper()}", wanted, SIDED, side=side, s=s)
-    for side in "LR":
-        for upper, middle, end in CHAINS:
-            limb = [found[f"{part}.{side}"] for part in (upper, middle, end)]
-            if not set(limb) <= set(skeleton.ancestors(limb[-1])) or limb != sorted(limb):
-                raise ContentError(
-                    f"joints {', '.join(names[k] for k in limb)} are not a limb: each must be the parent of the next"
-                )
+    parents = np.array([joint.parent for joint in skeleton.joints])
+    rig = load_body_model().rig
+    human = find_human_skeleton(names, parents, skeleton.at_rest(), rig)
+    if human.missing:
+        raise ContentError(human.refusal(names, rig))
+    found = {f"{part}.{side}": human.joints[f"{bone}.{side}"] for part, bone in PARTS.items() for side in "LR"}
+    top = next((human.joints[bone] for bone in ("head", "neck01") if bone in human.joints), None)
+    if top is None:
+        raise ContentError(f"it has no joint for neck or head; joints are {', '.join(names)}")
+    found["neck"] = top
     found["root"] = _branching(skeleton, found["hip.L"], found["hip.R"])
     found["chest"] = _branching(skeleton, found["shoulder.L"], found["shoulder.R"])
-    while plain[found["chest"]].startswith("neck"):  # 3ds Max's bipeds hang their collarbones on it
+    if found["chest"] == human.joints.get("neck01"):  # 3ds Max's bipeds hang their collarbones on it
         found["chest"] = skeleton.joints[found["chest"]].parent
-    return found
+    return found, human.remarks(names)
 
 
 def _branching(skeleton: Skeleton, first: int, second: int) -> int:
     """The last joint that carries both."""
     return max(set(skeleton.ancestors(first)) & set(skeleton.ancestors(second)))
-
-
-def _plain(name: str) -> str:
-    """A joint's name without case, separators and namespace; sides stay where they are, for AMC says `lfemur`."""
-    last = re.split(r"[:|/]", name)[-1].lower()
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"^(mixamorig\d*|bip0*1)", "", last))

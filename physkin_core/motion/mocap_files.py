@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, shown
+from physkin_core.rig.rig import ancestors
 
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
@@ -53,10 +54,7 @@ class Skeleton:
 
     def ancestors(self, joint: int) -> list[int]:
         """Indices from the root to the joint itself."""
-        way = [joint]
-        while self.joints[way[-1]].parent >= 0:
-            way.append(self.joints[way[-1]].parent)
-        return way[::-1]
+        return ancestors([each.parent for each in self.joints], joint)[::-1]
 
     def at(self, frames: slice) -> Skeleton:
         """With some of the frames only; the rate follows the step between them."""
@@ -101,27 +99,28 @@ def read_bvh(text: str) -> Skeleton:
         words = line.split()
         if not words:
             continue
-        if words[0] in ("ROOT", "JOINT"):
+        keyword = words[0].upper()
+        if keyword in ("ROOT", "JOINT"):
             current = len(joints)
-            joints.append((words[1], stack[-1] if stack else -1, np.zeros(3)))
+            joints.append((line.split(None, 1)[1].strip(), stack[-1] if stack else -1, np.zeros(3)))
             channels.append([])
-        elif words[0] == "End":
+        elif keyword == "END":
             current = None
-        elif words[0] == "OFFSET" and current is not None:
+        elif keyword == "OFFSET" and current is not None:
             joints[current][2][:] = [float(word) for word in words[1:4]]
-        elif words[0] == "CHANNELS" and current is not None:
+        elif keyword == "CHANNELS" and current is not None:
             channels[current] = [(word[0].upper(), word[1:].lower()) for word in words[2:]]
-        elif words[0] == "{":
+        elif keyword == "{":
             stack.append(current)
-        elif words[0] == "}":
+        elif keyword == "}":
             stack.pop()
     _check_joint_count(len(joints))
-    lines = data.split("\n")
-    values = {line.split(":")[0].strip(): line.split(":")[1] for line in lines[:4] if ":" in line}
+    lines = [line for line in data.splitlines() if line.strip()]
+    values = {" ".join(line.split(":")[0].split()): line.split(":")[1] for line in lines[:4] if ":" in line}
     count, step = int(values["Frames"]), float(values["Frame Time"])
     if not FRAME_TIMES[0] <= step <= FRAME_TIMES[1]:
         raise ContentError(f"its frame time is {step:g} s, allowed are {FRAME_TIMES[0]:g} to {FRAME_TIMES[1]:g} s")
-    rows = [line for line in lines if ":" not in line and not line.isspace() and line]
+    rows = [line for line in lines if ":" not in line]
     frames = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 0))
     width = sum(map(len, channels))
     if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all():

@@ -1,7 +1,7 @@
 """Retargeting of motion from another humanoid to the default rig.
 
 The rig follows the directions and hinges of the source's limbs: a bounded least-squares problem over the rig's degrees
-of freedom, all frames of a clip at once (`native/src/motion/pose_solver.cpp`). A light pull towards the canonical pose
+of freedom, all frames of a clip at once (`pose_solver`). A light pull towards the canonical pose
 shares one source rotation among the rig's bones (one chest joint, three spine bones; a limb's twist over its two
 halves).
 
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.motion.motion import Motion
-from physkin_core.native_module import native
+from physkin_core.motion.pose_solver import PoseSolver
 from physkin_core.progress import Watch
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
@@ -39,10 +39,8 @@ UNUSED_BONES = ("clavicle", "wrist")  # the source has neither: they stay at res
 
 HINGE_SHARE = 0.3  # how much a limb's hinge axis counts beside its direction
 FOOT_SHARE = 0.5  # the rig's ankle does not turn about the shin: its foot must not drag the leg along
-PULL = 0.03  # towards the canonical pose [1/rad]; a limb's direction counts 1
-SMOOTHING = 0.3  # towards the mean of the frames before and after [1/rad]
-MAX_STEP = 0.4  # [rad] an iteration
-ITERATIONS = 60
+STRIDE = 4  # frames of a clip that is solved first, which is faster and smoother
+ITERATIONS = 30, 15  # of these, and then of all frames
 BLOCK = 128  # frames posed together: bounds the memory
 
 
@@ -59,17 +57,18 @@ def retarget(
     """
     bones = [rig.bone_index(bone) for bone, _ in FOLLOWERS.values()]
     axes, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
-    axes, targets = np.stack(axes), np.ascontiguousarray(np.stack(targets, axis=1))
-    turns, solver = _pose_solver(rig, bones, axes)
+    axes, targets = np.stack(axes), np.stack(targets, axis=1)
+    solver = PoseSolver(rig, bones, axes, still=UNUSED_BONES)
 
     q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
-    here = np.ascontiguousarray(q[:, turns])
-    there = np.empty_like(here)
-    for done in range(ITERATIONS):
-        solver.step(targets, here, there)
-        here, there = there, here
-        watch((done + 1) / ITERATIONS)
-    q[:, turns] = here
+    frames = np.arange(len(targets))
+    here = q[::STRIDE, solver.dofs]
+    for done in range(sum(ITERATIONS)):
+        if done == ITERATIONS[0]:
+            here = np.stack([np.interp(frames, frames[::STRIDE], turn) for turn in here.T], axis=1)
+        here = solver.step(targets[::STRIDE] if done < ITERATIONS[0] else targets, here)
+        watch((done + 1) / sum(ITERATIONS))
+    q[:, solver.dofs] = here
     turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
     for k, (bone, limb) in enumerate(FOLLOWERS.values()):
@@ -79,7 +78,7 @@ def retarget(
             angle = np.arccos(np.clip(np.sum(turned[:, k, :, 0] * targets[:, k, :, 0], axis=1), -1, 1))
         report[bone] = (float(np.degrees(angle.mean())), float(np.degrees(angle.max())))
     at_limit = (q <= rig.lower + 1e-6) | (q >= rig.upper - 1e-6)
-    return q, {**report, "at_limit": float(at_limit[:, turns].mean())}
+    return q, {**report, "at_limit": float(at_limit[:, solver.dofs].mean())}
 
 
 def leg_length(rig: Rig) -> float:
@@ -129,22 +128,3 @@ def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[n
     here = np.stack([along, hinge, np.cross(along, hinge)], axis=1)
     there = np.stack([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], axis=1)  # hanging; bends about Y
     return here @ weights, relative @ there @ weights
-
-
-def _pose_solver(rig: Rig, bones: list[int], axes: np.ndarray) -> tuple[list[int], native.PoseSolver]:
-    """Degrees of freedom that are solved for, parents first, and what solves for them so that the weighted axes
-    (followers, 3, 3) of rig bones come to lie where they should."""
-    turns: list[int] = []
-    last: dict[int, int] = {-1: -1}  # the last turn, as an index of `turns`, that moves a bone
-    parents = []
-    for bone in sorted({above for each in bones for above in rig.ancestors(each)}):
-        last[bone] = last[int(rig.parents[bone])]
-        for dof in np.flatnonzero(rig.dof_bones == bone).tolist():
-            if not rig.bone_names[bone].startswith(UNUSED_BONES):
-                parents.append(last[bone])
-                last[bone] = len(turns)
-                turns.append(dof)
-    numbers = np.column_stack([rig.dof_axes, rig.rest, rig.lower, rig.upper])[turns]
-    followers = [last[bone] for bone in bones]
-    pulls = [PULL, SMOOTHING, MAX_STEP]
-    return turns, native.PoseSolver(parents, numbers.tolist(), followers, axes.reshape(-1, 9).tolist(), pulls)

@@ -13,8 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation", "turned_down_the_chain"]
-
+__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation", "t_pose_rotations", "turned_down_the_chain"]
 
 LIMB_SEGMENTS = {
     f"{start}.{side}": (f"{start}.{side}", f"{end}.{side}")
@@ -62,6 +61,15 @@ def limb_rotations(heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str
         rotations[bone] = smallest_rotation(direction, target) @ carried
         previous_end[end] = bone
     return rotations
+
+
+def t_pose_rotations(heads: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """As `limb_rotations`, to arms straight out and legs straight down."""
+    straight = {name: np.zeros(3) for name in heads}
+    for start, end in LIMB_SEGMENTS.values():
+        outward = np.array([0.0, 1.0 if start.endswith("L") else -1.0, 0.0])
+        straight[end] = straight[start] + (outward if "arm" in start else np.array([0.0, 0.0, -1.0]))
+    return limb_rotations(heads, straight)
 
 
 def turned_down_the_chain(

@@ -11,13 +11,16 @@ import json
 import numpy as np
 
 from physkin_core.rig.ball_joints import BallJoint
-from physkin_core.rig.canonical_pose import limb_rotations
+from physkin_core.rig.canonical_pose import t_pose_rotations
 from physkin_core.rig.rig import Rig
 
-__all__ = ["VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
+__all__ = ["HUMANOID_BONES", "VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
 
 VRM_AXES = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 """VRM's X, Y and Z in the root frame (X forward, Y left, Z up)."""
+HUMANOID_BONES = {"hips": "root", "spine": "spine04", "chest": "spine02", "upperChest": "spine01"}
+HUMANOID_BONES |= {"neck": "neck01", "head": "head"}
+"""Rig bone at which each humanoid bone begins; the limbs follow below."""
 TRUNK = {"spine": "spine05", "chest": "spine03", "upperChest": "spine02", "neck": "neck01", "head": "head"}
 # Humanoid bone -> rig bone and axes of its joints in the rig's order, the rig bone that shares the twist, and whether
 # T-pose alignments are those of the limb above and of its own.
@@ -30,13 +33,16 @@ LIMBS = {
     "LowerLeg": ("lowerleg01", "y", None, ("upperleg01", "lowerleg01")),
     "Foot": ("foot", "yz", None, ("lowerleg01", None)),  # flat on the floor in both poses
 }
+for _side in ("left", "right"):
+    HUMANOID_BONES |= {_side + bone: f"{target}.{_side[0].upper()}" for bone, (target, *_) in LIMBS.items()}
 
 
 def vrm_ball_joints(rig: Rig) -> dict[str, BallJoint]:
     """The ball joint of each humanoid bone. Raises ValueError for a rig that lacks a default rig's joint."""
     bones = {bone: rig_ball_joint(rig, [f"{target}_{axis}" for axis in "xyz"]) for bone, target in TRUNK.items()}
+    aligned_limbs = t_pose_rotations(dict(zip(rig.bone_names, rig.heads)))
     for side, letter in (("left", "L"), ("right", "R")):
-        aligned = _t_pose(rig, letter)
+        aligned = {bone.removesuffix(f".{letter}"): turn for bone, turn in aligned_limbs.items() if bone[-1] == letter}
         for bone, (target, axes, second, (above, own)) in LIMBS.items():
             joints = [f"{target}.{letter}_{axis}" for axis in axes]
             if second and len(axes) == 1:  # a hinge, and the rest of the limb twists
@@ -92,19 +98,3 @@ def rig_ball_joint(
         joints=(*names, half) if half else names,
         twist=twist,
     )
-
-
-def _t_pose(rig: Rig, side: str) -> dict[str, np.ndarray]:
-    """By limb bone (without its side), the rotation (3, 3) that takes it from the canonical pose to the T-pose."""
-    heads = {name: head for name, head in zip(rig.bone_names, rig.heads) if name.endswith(f".{side}")}
-    out = np.array([0.0, 1.0 if side == "L" else -1.0, 0.0])
-    stretched = dict(heads)
-    for chain, way in (
-        (("upperarm01", "lowerarm01", "wrist"), out),
-        (("upperleg01", "lowerleg01", "foot"), -np.eye(3)[2]),
-    ):
-        for above, below in zip(chain, chain[1:]):
-            length = np.linalg.norm(heads[f"{below}.{side}"] - heads[f"{above}.{side}"])
-            stretched[f"{below}.{side}"] = stretched[f"{above}.{side}"] + length * way
-    turns = limb_rotations(heads, stretched)
-    return {bone.removesuffix(f".{side}"): turn for bone, turn in turns.items()}

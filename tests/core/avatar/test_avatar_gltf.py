@@ -1,7 +1,6 @@
 """GLB, glTF and VRM avatars: the same person from any pose, naming, scale, axis and storage."""
 
 import base64
-import json
 
 import numpy as np
 import pytest
@@ -19,15 +18,11 @@ from gltf_person import (
 
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.rig.bone_naming import BONE_MAPS
 from physkin_core.rig.rig import Rig
+from physkin_core.rig.vrm_bones import HUMANOID_BONES
 from physkin_prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
-
-
-def _bone_map(naming):
-    return json.loads((BONE_MAPS / f"{naming}.json").read_text())["bones"]
 
 
 def test_demo_avatar_round_trip(tmp_path):
@@ -60,27 +55,10 @@ def test_t_posed_vrm_is_the_same_person(tmp_path, vrm_version, body_index):
     assert distance.mean() < 3 and distance.max() < 20
     heads, tails = distances(avatar.bone_heads, person.bone_heads), distances(avatar.bone_tails, person.bone_tails)
     assert max(heads.mean(), tails.mean()) < 4 and max(heads.max(), tails.max()) < 20
-    stated = [RIG.bone_index(bone) for bone in _bone_map("vrm").values()]
+    stated = [RIG.bone_index(bone) for bone in HUMANOID_BONES.values()]
     assert heads[stated].max() < 4
     assert np.abs(dense_weights(avatar) - dense_weights(person)).sum(axis=1).mean() / 2 < 0.07
     assert avatar.warnings == ()
-
-
-def _with_names(naming):
-    """Joint names of a bone map for the rig bones that it has, the rest nameless helpers."""
-    names = {}
-    for name, bone in _bone_map(naming).items():
-        names.setdefault(bone, name)
-    return [names.get(bone, f"helper_{bone.replace('.', '_')}_x") for bone in RIG.bone_names]
-
-
-@pytest.mark.parametrize("naming", ["vrm", "mixamo", "unreal", "rigify", "smpl"])
-def test_common_joint_names(tmp_path, naming):
-    """Each bone map is found by the joints' names, whatever the namespace and case."""
-    names = [f"mixamorig:{name}" if naming == "mixamo" else name for name in _with_names(naming)]
-    avatar = load_document(tmp_path, person_document(joint_names=names))
-    assert distances(avatar.vertices, PERSON.vertices).mean() < 3
-    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 20
 
 
 def test_centimetre_armature_and_turned_nodes(tmp_path):
@@ -132,7 +110,7 @@ def test_fingers_follow_the_wrist(tmp_path):
 def test_humanoid_bones_outside_the_skin(tmp_path):
     """A VRM may state a bone that no vertex follows and the skin does not list; it counts as a joint."""
     names = [f"own_{bone}" for bone in range(RIG.bone_count)]
-    humanoid = {role: names[RIG.bone_index(bone)] for role, bone in _bone_map("vrm").items()}
+    humanoid = {role: names[RIG.bone_index(bone)] for role, bone in HUMANOID_BONES.items()}
     builder = person_document(joint_names=names, humanoid=humanoid)
     nodes, wrist = builder.document["nodes"], RIG.bone_index("wrist.L")
     nodes[wrist].setdefault("children", []).append(len(nodes))
