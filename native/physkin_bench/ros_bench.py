@@ -101,7 +101,7 @@ def main(argv: list[str] | None = None) -> int:
 def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     seconds = options.seconds + WARM_UP_SECONDS
     with Children(private_environment(), folder) as children:
-        settings = {"avatar": {"orientation": "fixed"}, "garment": {"fit": options.fit}, "queue": options.queue}
+        settings = {"avatar": {}, "garment": {"fit": options.fit}, "queue": options.queue}
         start_node(children, folder, case.avatars, outfit=[{"model": model} for model in options.garment], **settings)
         more = ("--warm-up", round(WARM_UP_SECONDS * case.rate_hz), "--watched", children.pid("node"))
         played = (children, folder, case.avatars, MOTION, case.rate_hz, seconds, *more)

@@ -10,7 +10,6 @@ from physkin_core import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.motion.bag_reader import Recorded, decode
 from physkin_core.sway.frame_input import RootSample
 from physkin_ros.root.gravity import EffectiveGravity
-from physkin_ros.root.imu_acceleration import USUAL_DELAY
 from physkin_ros.root.root_orientation import RootOrientation, stamp_of
 from physkin_ros.root.root_state import RootState
 from physkin_ros.root.transform_tree import TransformTree
@@ -41,7 +40,7 @@ class RecordedRoot:
         self.frame_input.sway = (sway,)
         self._state = RootState(np.array(gravity), self.frame_input)
         self.down = self._state.direction(0)
-        root = RootOrientation(self._state.add_direction, self._move, imu_delay=USUAL_DELAY)
+        root = RootOrientation(self._state.add_direction, self._move)
         self._takers = {"gravity": root.direction, "pose": root.pose, "odometry": root.odometry, "imu": root.imu}
         self._root, self._tree = root, TransformTree()
         if orientation == "tf":

@@ -1,14 +1,11 @@
-"""What messages have said of an avatar's root, and which of it goes with a joint state.
-
-The garments' `FrameInput` is told how the root moves, as far as that is known and fresh, or else where down is.
-"""
+"""What messages have said of an avatar's root, and which of it goes with a joint state."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from physkin_core import FrameInput
-from physkin_core.sway.frame_input import STANDARD_GRAVITY, RootSample, unit_direction
+from physkin_core.sway.frame_input import RootSample, unit_direction
 from physkin_ros.root.gravity import EffectiveGravity, FreshByStamp, LatestByStamp
 
 __all__ = ["RootState"]
@@ -18,13 +15,15 @@ class RootState:
     """Of one avatar. Stamps and times of coming are in ns, these monotonic.
 
     down: direction of gravity (3,), of any length but zero, in the root frame until another one comes. frame_input: of
-    its garments.
+    its garments. Nobody else writes its rows: `take` and `begin_frame` do, by how the root moves as far as that is
+    known and fresh, or else by where down is.
     """
 
     def __init__(self, down: np.ndarray, frame_input: FrameInput) -> None:
         self.frame_input = frame_input
         self._directions = LatestByStamp(_as_networks_know(down))
         self._motions: FreshByStamp[RootSample | EffectiveGravity] = FreshByStamp()
+        self._taken: RootSample | EffectiveGravity | np.ndarray = self.direction(0)
 
     def set_direction(self, down: np.ndarray) -> None:
         """Another direction of gravity (3,), of any length but zero, as of now."""
@@ -42,41 +41,34 @@ class RootState:
         """Gravity's unit direction (3,) that goes with a joint state, however the root is accelerated."""
         return self._directions.at(stamp_ns)
 
-    def moves(self, now_ns: int) -> bool:
-        """Whether it is known, and fresh, how the root moves."""
-        return self._motions.at(0, now_ns) is not None
+    def motion(self, now_ns: int) -> RootSample | EffectiveGravity | None:
+        """How the root moves by the latest message; None where nothing is fresh."""
+        return self._motions.at(0, now_ns)
 
-    def effective_gravity(self, garment: int, now_ns: int) -> np.ndarray | None:
-        """The latest (3,) [m/s2] that a garment feels of a root of which nothing but its acceleration is known; else
-        None."""
-        known = self._motions.at(0, now_ns)
-        if not isinstance(known, EffectiveGravity):
-            return None
-        felt = FrameInput(1)
-        felt.sway, felt.wind = self.frame_input.sway[garment : garment + 1], self.frame_input.wind
-        _tell(felt, known)
-        felt.begin_frame()
-        return STANDARD_GRAVITY * felt.rows[0, :3]
-
-    def take(self, stamp_ns: int, now_ns: int) -> bool:
-        """Tell the garments what goes with a joint state. Whether it was known how the root moves."""
+    def take(self, stamp_ns: int, now_ns: int) -> np.ndarray:
+        """Find what goes with a joint state. Returns the gravity (g, 3) that it gives the garments, wind apart."""
         known = self._motions.at(stamp_ns, now_ns)
-        if known is None:
-            self.frame_input.set_gravity(self.direction(stamp_ns))
-        else:
-            _tell(self.frame_input, known)
-        return known is not None
+        self._taken = self.direction(stamp_ns) if known is None else known
+        self._fill()
+        return self.frame_input.rows[:, :3]
 
-    def begin_frame(self, sec: int, nanosec: int) -> None:
-        """Begin the frame of a joint state with this stamp; 0 for none: it then stands by itself."""
+    def begin_frame(self, sec: int, nanosec: int, gravity: np.ndarray | None = None) -> None:
+        """Begin the frame of a joint state with this stamp; 0 for none: it then stands by itself.
+
+        gravity: (g, 3) in place of what `take` has found.
+        """
+        if gravity is not None:
+            self._fill()
+            self.frame_input.rows[:, :3] = gravity
         self.frame_input.begin_frame(sec + 1e-9 * nanosec if sec or nanosec else None)
 
-
-def _tell(frame_input: FrameInput, motion: RootSample | EffectiveGravity) -> None:
-    if isinstance(motion, EffectiveGravity):
-        frame_input.set_effective_gravity(motion.vector, motion.at_rest)
-    else:
-        frame_input.set_root_sample(motion)
+    def _fill(self) -> None:
+        if isinstance(self._taken, EffectiveGravity):
+            self.frame_input.set_effective_gravity(self._taken.vector, self._taken.at_rest)
+        elif isinstance(self._taken, np.ndarray):
+            self.frame_input.set_gravity(self._taken)
+        else:
+            self.frame_input.set_root_sample(self._taken)
 
 
 def _as_networks_know(down: np.ndarray) -> np.ndarray:
