@@ -73,7 +73,6 @@ class Peer(Partner):
         self.frame_ids: set[str] = set()
         self.reports: list[dict[str, str]] = []
         self._gravity_publisher = self.node.create_publisher(Vector3Stamped, "gravity", 10)
-        self._felt_publisher = self.node.create_publisher(Vector3Stamped, "drape_node/effective_gravity", 10)
         self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
         self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
 
@@ -85,11 +84,10 @@ class Peer(Partner):
 
     def send_gravity(self, direction, stamp: tuple[int, int] = (0, 0)) -> None:
         """Publish the direction of gravity (3,)."""
-        self._gravity_publisher.publish(_vector(direction, stamp))
-
-    def send_effective_gravity(self, felt, stamp: tuple[int, int] = (0, 0)) -> None:
-        """Publish effective gravity (3,) [m/s2]."""
-        self._felt_publisher.publish(_vector(felt, stamp))
+        message = Vector3Stamped()
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp
+        message.vector.x, message.vector.y, message.vector.z = map(float, direction)
+        self._gravity_publisher.publish(message)
 
     def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
         """The cloud (n, 6) that a joint state is answered with."""
@@ -99,7 +97,7 @@ class Peer(Partner):
 
     def connect(self, *, gravity: bool = True, settle: float = 0.5) -> None:
         """Wait for the drape node. gravity: and for its subscription to that topic. settle: [s] longer."""
-        publishers = [self._publisher, self._felt_publisher, *([self._gravity_publisher] if gravity else [])]
+        publishers = [self._publisher, *([self._gravity_publisher] if gravity else [])]
         ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.until(lambda: all(count() for count in ready), "drape node")
         self.spin(settle)
@@ -118,13 +116,6 @@ class Peer(Partner):
     def _on_cloud(self, message: PointCloud2) -> None:
         self.clouds[message.header.stamp.sec, message.header.stamp.nanosec] = read_cloud(message).copy()
         self.frame_ids.add(message.header.frame_id)
-
-
-def _vector(numbers, stamp: tuple[int, int]) -> Vector3Stamped:
-    message = Vector3Stamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = stamp
-    message.vector.x, message.vector.y, message.vector.z = map(float, numbers)
-    return message
 
 
 class Site(Partner):

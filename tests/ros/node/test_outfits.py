@@ -28,7 +28,6 @@ from physkin_core import (  # noqa: E402
 )
 
 LEGS, TOP, BLOUSE, HOSE = "ann/zlegs", "ann/atop", "bea/top", "bea/legs"
-SHARED = {"precision": "fp32"}
 
 
 @pytest.fixture(scope="module")
@@ -39,32 +38,6 @@ def models():
 @pytest.fixture(scope="module")
 def avatar(models):
     return load_avatar(BUNDLED_AVATAR, models["tanktop"].rig)
-
-
-@pytest.fixture(scope="module")
-def site(start_site, other_body):
-    """ann: a T-shirt over trousers, in the order of the file, which is not that of the alphabet. bea: a T-shirt tucked
-    into trousers, in the order of `layers`, all vertices given, limbs separated."""
-    parameters = {
-        "asset_roots": [str(other_body.parent)],
-        "avatars": {
-            "ann": {"garments": {"zlegs": {"model": "trousers"} | SHARED, "atop": {"model": "tanktop"} | SHARED}},
-            "bea": {
-                "hide_covered": False,
-                "separate_limbs": True,
-                "layers": ["top", "legs"],
-                "garments": {
-                    "legs": {"model": "trousers"} | SHARED,
-                    "top": {"model": "tanktop", "tucked": True} | SHARED,
-                },
-            },
-        },
-    }
-    site = start_site(parameters, (LEGS, TOP, BLOUSE, HOSE))
-    site.publisher("/ann/joint_states")
-    site.publisher("/bea/joint_states")
-    site.until(lambda: {LEGS, TOP, BLOUSE, HOSE} <= site.meshes.keys(), "meshes")
-    return site
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +91,7 @@ def test_the_mesh_says_what_is_given(site, models, avatar):
 
 
 def test_a_tucked_shirt_with_separated_limbs(site, models, avatar, motion):
-    """In the order of `layers`, with the positions separated once."""
+    """With the positions separated once."""
     garments = [WornGarment(models["tanktop"], tucked=True), models["trousers"]]
     outfit = Outfit(garments, avatar, precision="fp32", hide_covered=False)
     separator = LimbSeparator(models["tanktop"].rig, avatar)
