@@ -6,7 +6,7 @@ messages. Radians, root frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic_ns, perf_counter_ns
 
@@ -17,8 +17,6 @@ from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, FrameInput
 from physkin_core.file_reading import sentence, shown
-from physkin_core.sway.frame_input import RootSample
-from physkin_ros.joints.missing_messages import MissingMessages
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES, WIND
 from physkin_ros.middleware.quality_of_service import FollowingSubscription
@@ -29,7 +27,6 @@ from physkin_ros.node.orientation_source import OrientationSource
 from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 from physkin_ros.node.worn_outfit import WornOutfit
-from physkin_ros.root.gravity import EffectiveGravity
 from physkin_ros.root.quaternions import vector_of
 from physkin_ros.root.root_state import RootState
 from physkin_ros.root.tf_topics import FollowedTransforms
@@ -56,7 +53,7 @@ class AvatarStream:
     ) -> None:
         self.settings, self.active = settings, active
         self.statistics = AvatarStatistics()
-        self.root = RootState(np.array(settings.gravity), FrameInput(len(settings.garments)))
+        self.root = RootState(settings.gravity, FrameInput(len(settings.garments)))
         self.root.frame_input.sway, self.root.frame_input.wind = settings.sways, settings.wind
         self.worn: WornOutfit | None = None
         self.garments = tuple(GarmentStream(node, settings, garment) for garment in settings.garments)
@@ -75,17 +72,19 @@ class AvatarStream:
         self.topic = node.resolve_topic_name(self._joints_topic)
         self._orientation = self._timer = None
         self._subscriptions: list[FollowingSubscription] = []
-        self._missing = MissingMessages()
 
     def listen(self) -> None:
         """Open the topics that come in. Until something is worn, joint states are counted as `not_ready`."""
         node = self._node
         # before the joint states: when both have messages waiting, executors serve the older subscription first
-        takers = (self.root.add_direction, self._on_motion, self._on_bad_orientation)
-        self._orientation = OrientationSource(node, self.settings, self._transforms, *takers)
+        self._orientation = OrientationSource(
+            node, self.settings, self._transforms, self.root, self._on_bad_orientation
+        )
         self._subscriptions = [
             FollowingSubscription(node, Vector3Stamped, WIND.name, self._on_wind),
-            FollowingSubscription(node, JointState, self._joints_topic, self._on_joint_state, raw=True),
+            FollowingSubscription(
+                node, JointState, self._joints_topic, self._on_joint_state, raw=True, on_lost=self._on_lost
+            ),
             FollowingSubscription(node, MultiDOFJointState, self._bones_topic, self._on_bone_rotations),
         ]
         if self.settings.cloud_rate:
@@ -167,13 +166,12 @@ class AvatarStream:
 
     def _answer(self, worn: WornOutfit, sec: int, nanosec: int) -> None:
         """Drape the joint positions that have been received, or keep them for the clouds between two poses."""
-        stamp_ns, now_ns = sec * NANOSECONDS + nanosec, monotonic_ns()
-        self.statistics.count("missing", number=self._missing.count(stamp_ns, now_ns))
-        if self._orientation.fault and self.root.motion(now_ns) is None:
-            self._on_bad_orientation(self._orientation.fault)  # and the last direction goes on
-        gravity = self.root.take(stamp_ns, now_ns)
+        stamp_ns = sec * NANOSECONDS + nanosec
+        if self.root.fault and self.root.motion() is None:
+            self._on_bad_orientation(self.root.fault)  # and the last direction goes on
+        gravity = self.root.take(stamp_ns)
         if worn.interpolator is not None:
-            worn.interpolator.push(worn.received, gravity, stamp_ns, now_ns)
+            worn.interpolator.push(worn.received, gravity, stamp_ns, monotonic_ns())
             worn.wire.keep()
             return
         self.root.begin_frame(sec, nanosec)
@@ -208,8 +206,10 @@ class AvatarStream:
         return True
 
     def _reject(self, error: Exception) -> None:
-        self._missing.pass_over()
         self._ignore("rejected", "joint state", str(error))
+
+    def _on_lost(self, number: int) -> None:
+        self.statistics.count("lost", number=number)
 
     def _ignore(self, count: str, what: str, reason: str) -> None:
         self.statistics.count(count, reason)
@@ -218,26 +218,11 @@ class AvatarStream:
 
     # Root and wind.
 
-    def set_gravity(self, down: Sequence[float]) -> None:
-        """Take another direction of gravity (3,), of any length but zero, as of now."""
-        self.root.set_direction(np.array(down))
-
-    def set_wind(self, velocity: Sequence[float]) -> None:
-        """Let other wind blow from now on, [m/s] in the world."""
-        self.root.frame_input.wind = velocity
-
-    def set_sway(self, sways: Sequence[float]) -> None:
-        """Let the cloth of each garment swing as much from now on, 0 to 1."""
-        self.root.frame_input.sway = sways
-
     def _on_wind(self, message: Vector3Stamped) -> None:
         try:
-            self.set_wind(vector_of(message.vector))
+            self.root.frame_input.wind = vector_of(message.vector)
         except ValueError as error:
             self._ignore("wind_rejected", "wind", str(error))
-
-    def _on_motion(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
-        self.root.add_motion(motion, stamp_ns, monotonic_ns())
 
     def _on_bad_orientation(self, reason: str) -> None:
         self._ignore("gravity_rejected", "gravity message", reason)

@@ -29,7 +29,7 @@ COUNTED = {
     "gravity_rejected": "gravity messages rejected",
     "wind_rejected": "wind messages rejected",
     "swaps_failed": "swaps failed",
-    "missing": "joint states missing by gaps in stamps",
+    "lost": "joint states lost on the way",
     "limbs_separated": "joint states with limbs separated",
 }
 """What is counted: names in `physkin_msgs/GarmentStatistics` -> names in the diagnostics. Joint states that look like

@@ -23,7 +23,6 @@ from physkin_core.model.model_file import shipped_models
 from physkin_ros.joints.ros4hri import ROS4HRI
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.middleware.answers import answer_all
-from physkin_ros.middleware.shared_memory import leftovers
 from physkin_ros.node.asset_loading import AssetRoots, LoadedWear, OutfitLoader
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
@@ -85,7 +84,6 @@ class DrapeNode(LifecycleNode):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
-        self._tell_leftovers()
         if missing := missing_interfaces():
             self.get_logger().warning(missing)
         if self._settings.autostart:
@@ -138,11 +136,11 @@ class DrapeNode(LifecycleNode):
         for stream in list(self._streams.values()):  # bodies may be found meanwhile, by another thread
             avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
-                stream.set_gravity(avatar.gravity)
+                stream.root.set_direction(avatar.gravity)
             if avatar.prefix + "wind" in names:
-                stream.set_wind(avatar.wind)
+                stream.root.frame_input.wind = avatar.wind
             if names & {each.prefix + "sway" for each in (avatar, *avatar.garments)}:
-                stream.set_sway(avatar.sways)
+                stream.root.frame_input.sway = avatar.sways
             if self._wish(stream) is not None:
                 self._worker.submit(self._grant_wishes, stream)
         self._templates = [
@@ -383,13 +381,6 @@ class DrapeNode(LifecycleNode):
         if self.context.ok():  # else a signal has ended it
             self.get_logger().error(f"swap failed, the old one stays on: {reason}")
         return reason
-
-    def _tell_leftovers(self) -> None:
-        if names := leftovers():
-            self.get_logger().info(
-                f"killed processes left {len(names)} Fast DDS segments in /dev/shm, harmless but for the memory; to "
-                "delete them: fastdds shm clean"
-            )
 
 
 def _parameters_of(worn: AvatarSettings) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The subscriptions that tell an avatar where down is, and how its root moves."""
+"""The subscriptions that tell an avatar's root state where down is, and how its root moves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from physkin_ros.messages.interfaces import missing_tf
 from physkin_ros.messages.topics import GRAVITY, IMU, ODOMETRY
 from physkin_ros.middleware.quality_of_service import FollowingSubscription
 from physkin_ros.node.settings import AvatarSettings, SettingsError
-from physkin_ros.root.root_orientation import DirectionTaker, MotionTaker, RootOrientation
+from physkin_ros.root.root_state import RootState
 from physkin_ros.root.tf_topics import FollowedTransforms
 
 __all__ = ["OrientationSource", "check_orientation"]
@@ -25,34 +25,28 @@ def check_orientation(avatar: AvatarSettings) -> None:
 
 
 class OrientationSource:
-    """Calls back with what messages say, and their stamps, or with why one says nothing.
-
-    on_gravity: takes gravity's unit direction (3,). on_motion: takes how the root moves. transforms: TF, of all
-    avatars.
-    """
+    """Tells `root` what messages say. transforms: TF, of all avatars. on_bad: called with why one says nothing."""
 
     def __init__(
         self,
         node,
         avatar: AvatarSettings,
         transforms: FollowedTransforms,
-        on_gravity: DirectionTaker,
-        on_motion: MotionTaker,
+        root: RootState,
         on_bad: Callable[[str], None],
     ) -> None:
-        self._transforms, self._on_bad = transforms, on_bad
+        self._transforms, self._root, self._on_bad = transforms, root, on_bad
         self._frames = avatar.frame_id, avatar.world_frame
         self._left_out = ""
-        self._root = RootOrientation(on_gravity, on_motion)
         self._subscription: FollowingSubscription | None = None
         if avatar.orientation == "tf":
             transforms.follow(self._on_transforms)
             self._on_transforms({})
             return
         topic, kind, take = {
-            "gravity": (GRAVITY, Vector3Stamped, self._root.direction),
-            "odometry": (ODOMETRY, Odometry, self._root.odometry),
-            "imu": (IMU, Imu, self._root.imu),
+            "gravity": (GRAVITY, Vector3Stamped, root.on_direction),
+            "odometry": (ODOMETRY, Odometry, root.on_odometry),
+            "imu": (IMU, Imu, root.on_imu),
         }[avatar.orientation]
 
         def on_message(message) -> None:
@@ -68,11 +62,6 @@ class OrientationSource:
         """All that it listens to; those of TF are shared with other avatars."""
         return self._transforms.subscriptions if self._subscription is None else [self._subscription]
 
-    @property
-    def fault(self) -> str:
-        """Why TF does not say where the root is at the moment, "" where it does or is not asked."""
-        return self._root.fault
-
     def close(self) -> None:
         """Stop listening."""
         self._root.still()  # what is native in it must not outlive the interpreter
@@ -86,5 +75,5 @@ class OrientationSource:
         if tree.left_out != self._left_out:  # once, the first
             self._left_out = tree.left_out
             self._on_bad(f"frames of TF are left out: {tree.left_out}")
-        for reason in self._root.transforms(tree, wrong, *self._frames):
+        for reason in self._root.on_transforms(tree, wrong, *self._frames):
             self._on_bad(reason)

@@ -50,7 +50,7 @@ class Reports:
         figures = []
         for stream in self._streams():
             health, worn = stream.health(monotonic), stream.worn
-            shown = _values_of(stream, health, now.nanoseconds, monotonic)
+            shown = _values_of(stream, health, now.nanoseconds)
             for index, garment in enumerate(stream.garments):
                 layer = None if worn is None else worn.garments[index]
                 figures.append((garment, layer, health))
@@ -115,9 +115,9 @@ def _model_of(garment: GarmentStream, worn: LayerMessages | None) -> str:
     return garment.settings.model if worn is None else worn.layer.name
 
 
-def _values_of(stream: AvatarStream, health: Health, now_ns: int, monotonic: int) -> dict[str, str]:
+def _values_of(stream: AvatarStream, health: Health, now_ns: int) -> dict[str, str]:
     """What diagnostics say of an avatar, whatever the garment. now_ns: time on the stamps' clock."""
-    motion = stream.root.motion(monotonic)
+    motion = stream.root.motion()
     felt = _numbers(motion.vector, 2) if isinstance(motion, EffectiveGravity) else "none"
     return health.values(now_ns) | {
         "gravity": _numbers(stream.root.direction(0), 3),

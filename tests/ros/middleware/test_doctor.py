@@ -55,7 +55,7 @@ def test_rclpy_that_is_too_old(monkeypatch):
 @pytest.mark.parametrize("package", ["physkin_msgs", "tf2_msgs"])
 def test_messages_that_are_missing(monkeypatch, package):
     """They cost topics, not clouds: absent, with the command that installs them."""
-    monkeypatch.setitem(sys.modules, f"{package}.msg", None)
+    monkeypatch.setitem(sys.modules, f"{package}.{"srv" if package == "physkin_msgs" else "msg"}", None)
     finding = found()[package]
     assert (finding.state, "is not installed" in finding.found) == ("note", True)
     assert "build.py --install" in finding.remedy

@@ -22,8 +22,7 @@ from physkin_ros.node import orientation_source  # noqa: E402
 from physkin_ros.node.orientation_source import OrientationSource, check_orientation  # noqa: E402
 from physkin_ros.node.settings import SettingsError  # noqa: E402
 from physkin_ros.root import tf_topics, transform_tree  # noqa: E402
-from physkin_ros.root.gravity import EffectiveGravity  # noqa: E402
-from physkin_ros.root.root_orientation import RootOrientation  # noqa: E402
+from physkin_ros.root.root_state import RootState  # noqa: E402
 from physkin_ros.root.tf_topics import FollowedTransforms  # noqa: E402
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -33,14 +32,24 @@ def needs_tf_messages():
     pytest.importorskip("tf2_msgs", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
 
 
-def row_of(motion) -> np.ndarray:
-    """What a garment is given (13,)."""
-    frame_input = FrameInput(1)
-    if isinstance(motion, EffectiveGravity):
-        frame_input.set_effective_gravity(motion.vector, motion.at_rest)
-    else:
-        frame_input.set_root_sample(motion)
-    return frame_input.rows[0].copy()
+class Root(RootState):
+    """rows: what a garment was given (13,) of each motion. gravity: each direction (3,)."""
+
+    def __init__(self) -> None:
+        self.rows, self.gravity = [], []
+        super().__init__(DOWN, FrameInput(1))
+        for kept, told in ((self._motions, self._on_motion), (self._directions, self._on_direction)):
+            kept.add = self._watched(kept.add, told)
+
+    def _watched(self, add, told):
+        return lambda *given: (add(*given), told(*given))
+
+    def _on_motion(self, motion, stamp, now) -> None:
+        self.take(0)
+        self.rows.append(self.frame_input.rows[0].copy())
+
+    def _on_direction(self, down, stamp) -> None:
+        self.gravity.append(down)
 
 
 class Wired:
@@ -49,14 +58,14 @@ class Wired:
     def __init__(self, **given):
         if given["orientation"] == "tf":
             needs_tf_messages()
-        self.callbacks, self.gravity, self.bad, self.closed, self.rows = {}, [], [], [], []
-        takers = (lambda down, stamp: self.gravity.append(down), lambda motion, stamp: self.rows.append(row_of(motion)))
+        self.callbacks, self.bad, self.closed, self.root = {}, [], [], Root()
+        self.rows, self.gravity = self.root.rows, self.root.gravity
         self.transforms = FollowedTransforms(None)
         with (
             patch.object(orientation_source, "FollowingSubscription", self._subscribe),
             patch.object(tf_topics, "FollowingSubscription", self._subscribe),
         ):
-            self.source = OrientationSource(None, avatar_settings(**given), self.transforms, *takers, self.bad.append)
+            self.source = OrientationSource(None, avatar_settings(**given), self.transforms, self.root, self.bad.append)
 
     def _subscribe(self, node, kind, topic, take, **how):
         """Stands in for a subscription that reads bytes."""
@@ -94,7 +103,7 @@ def test_a_root_that_sets_off_is_followed(kind):
     assert wired.rows[-1][7] == pytest.approx(3 * 58.5 / 60, rel=1e-3)
     np.testing.assert_array_equal(wired.rows, other.rows)
     assert len(wired.gravity) == 60 and wired.gravity[-1] == pytest.approx(DOWN)
-    assert wired.bad == [] and wired.source.fault == ""
+    assert wired.bad == [] and wired.root.fault == ""
 
 
 def test_a_root_that_turns_is_followed():
@@ -132,32 +141,31 @@ def test_bad_poses_are_told():
 def test_tf_that_does_not_lead_there_is_told():
     """Until it does; a bad transform of these frames is told, one of others is not."""
     wired = Wired(orientation="tf")
-    assert "no transform from 'world' to 'root'" in wired.source.fault
+    assert "no transform from 'world' to 'root'" in wired.root.fault
     as_tf(wired, 1.0, (0, 0, 0))
-    assert wired.source.fault == "" and len(wired.gravity) == 1
+    assert wired.root.fault == "" and len(wired.gravity) == 1
     nowhere = {"place": (np.nan, 0, 0), "seconds": 1.1}
     wired.send("/tf", Message(transforms=[transform("world", "root", **nowhere), transform("a", "b", **nowhere)]))
     assert len(wired.bad) == 1 and "'world' to 'root'" in wired.bad[0]
     wired.send("/tf_static", Message(transforms=[transform("nowhere", "root")]))
-    assert "nothing is known above 'nowhere'" in wired.source.fault
+    assert "nothing is known above 'nowhere'" in wired.root.fault
     wired.send("/tf_static", Message(transforms=[transform("world", "nowhere")]))
-    assert wired.source.fault == ""
+    assert wired.root.fault == ""
     assert len(wired.gravity) == 2 and wired.gravity[-1] == pytest.approx(DOWN)
 
 
 def test_avatars_share_what_is_read_of_tf():
     """One that comes later knows all at once; the topics go with the last."""
-    wired, told = Wired(orientation="tf"), []
+    wired, told = Wired(orientation="tf"), Root()
     as_tf(wired, 1.0, (0, 0, 0))
     topics = len(wired.callbacks)
     other = avatar_settings(orientation="tf", id="other", frame_id="arm")
     wired.send("/tf_static", Message(transforms=[transform("root", "arm")]))
-    takers = (lambda down, stamp: told.append(stamp), lambda felt, stamp: None)
-    source = OrientationSource(None, other, wired.transforms, *takers, wired.bad.append)
-    assert told == [1_000_000_000] and source.fault == ""
+    source = OrientationSource(None, other, wired.transforms, told, wired.bad.append)
+    assert len(told.gravity) == 1 and told.fault == ""
     assert len(wired.callbacks) == topics
     as_tf(wired, 2.0, (0, 0, 0))
-    assert len(told) == 2 and len(wired.gravity) == 2
+    assert len(told.gravity) == 2 and len(wired.gravity) == 2
     tf = {"/tf", "/tf_static"}
     wired.source.close()
     assert not tf & set(wired.closed)
@@ -187,8 +195,8 @@ def test_what_tf_needs(monkeypatch):
 @pytest.mark.parametrize(("orientation", "sway"), [("odometry", 1.0), ("odometry", 0.0), ("gravity", 1.0)])
 def test_a_sway_network_moves_cloth(orientation, sway, peer, running_node, monkeypatch, swaying_model_path):
     """As that of a draper that is told time and root, or, where nobody tells the root, time alone."""
-    model, moves, move = load_garment_model(swaying_model_path), [], RootOrientation.odometry
-    monkeypatch.setattr(RootOrientation, "odometry", lambda *given: moves.append(given) or move(*given))
+    model, moves, move = load_garment_model(swaying_model_path), [], RootState.on_odometry
+    monkeypatch.setattr(RootState, "on_odometry", lambda *given: moves.append(given) or move(*given))
     draper, alone = (Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), precision="fp32") for _ in range(2))
     draper.sway = sway
     names, joints, message, swung = model.rig.joint_names, model.rig.rest.astype(np.float32), Odometry(), 0.0
