@@ -6,7 +6,8 @@ messages. Radians, root frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import monotonic_ns, perf_counter_ns
 
@@ -18,13 +19,12 @@ from sensor_msgs.msg import JointState, MultiDOFJointState
 from physkin_core import BUNDLED_AVATAR, FrameInput
 from physkin_core.file_reading import sentence, shown
 from physkin_ros.joints.nearest_names import nearest_names
-from physkin_ros.messages.topics import BONE_ROTATIONS, JOINT_STATES, WIND
-from physkin_ros.middleware.quality_of_service import FollowingSubscription
+from physkin_ros.messages.topics import BONE_ROTATIONS, DRAPED_JOINT_STATES, JOINT_STATES, WIND
+from physkin_ros.middleware.quality_of_service import FollowingSubscription, stream_quality
 from physkin_ros.node.asset_loading import LoadedWear, OutfitLoader
 from physkin_ros.node.diagnostics import AvatarStatistics, Health
 from physkin_ros.node.garment_stream import GarmentStream
 from physkin_ros.node.orientation_source import OrientationSource
-from physkin_ros.node.separated_joint_states import SeparatedJointStates
 from physkin_ros.node.settings import AvatarSettings
 from physkin_ros.node.worn_outfit import WornOutfit
 from physkin_ros.root.quaternions import vector_of
@@ -280,3 +280,28 @@ class AvatarStream:
         for each in (*self._subscriptions, *self.garments, self._orientation, self._separated):
             if each is not None:
                 each.close()
+
+
+class SeparatedJointStates:
+    """The topic that tells which joint positions an avatar was draped in once its limbs are separated, for whoever draws
+    the body. frame_id: of its root."""
+
+    def __init__(self, node, avatar: str, frame_id: str) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(JointState, DRAPED_JOINT_STATES.of(avatar), **stream_quality())
+        self._names: Sequence[str] = ()
+        self._message = JointState()
+        self._message.header.frame_id = frame_id
+
+    def publish(self, joint_names: Sequence[str], positions: np.ndarray, sec: int, nanosec: int) -> None:
+        """Publish positions (d,) [rad] of the rig's joints (d,), with the stamp of the joint state that came in."""
+        message = self._message
+        if joint_names is not self._names:  # of another rig
+            self._names, message.name = joint_names, list(joint_names)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        message.position = array("d", positions.astype(np.float64).tobytes())
+        self._publisher.publish(message)
+
+    def close(self) -> None:
+        """Take the topic down."""
+        self._node.destroy_publisher(self._publisher)
