@@ -283,8 +283,8 @@ class AvatarStream:
 
 
 class SeparatedJointStates:
-    """The topic that tells which joint positions an avatar was draped in once its limbs are separated, for whoever draws
-    the body. frame_id: of its root."""
+    """The topic that tells which joint positions an avatar was draped in once its limbs are separated: for whoever
+    draws the body. frame_id: of its root."""
 
     def __init__(self, node, avatar: str, frame_id: str) -> None:
         self._node = node

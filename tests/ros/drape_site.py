@@ -32,6 +32,7 @@ class Partner:
         self.node = rclpy.create_node(name, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self._clients = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def until(self, done: Callable[[], object], what: str, seconds: float = 30.0) -> None:
@@ -46,6 +47,15 @@ class Partner:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind, name: str, **fields):
+        """The answer of a drape node's service."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, f"/drape_node/{name}")
+            self.until(self._clients[name].service_is_ready, name)
+        future = self._clients[name].call_async(kind.Request(**fields))
+        self.until(future.done, f"answer of {name}")
+        return future.result()
 
     def close(self) -> None:
         """Leave the domain."""
@@ -133,7 +143,7 @@ class Site(Partner):
         super().__init__(domain, "site")
         self.process, self.log = process, log
         self.clouds, self.statuses, self.statistics, self.meshes = {}, {}, [], {}
-        self._publishers, self._clients, self.stamp = {}, {}, 0
+        self._publishers, self.stamp = {}, 0
         self.node.create_subscription(DrapeStatistics, "/drape_node/statistics", self.statistics.append, 10)
         for garment in garments:
             self.listen(garment)
@@ -175,14 +185,6 @@ class Site(Partner):
         key = garment, (self.stamp, 0)
         self.until(lambda: key in self.clouds, f"cloud {key}")
         return self.clouds[key][0]
-
-    def call(self, kind, name: str, **fields):
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, f"/drape_node/{name}")
-            self.until(self._clients[name].service_is_ready, name)
-        future = self._clients[name].call_async(kind.Request(**fields))
-        self.until(future.done, f"answer of {name}")
-        return future.result()
 
     def until(self, done: Callable[[], object], what: str, seconds: float = 60.0) -> None:
         """As of any partner; fails at once when the node has ended."""
