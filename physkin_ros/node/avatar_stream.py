@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from time import monotonic_ns, perf_counter_ns
 
 import numpy as np
@@ -93,25 +92,14 @@ class AvatarStream:
 
     # Swapping: this runs on any thread.
 
-    def dress(
-        self,
-        *,
-        body: str | None = None,
-        models: dict[int, str] | None = None,
-        wanted: Callable[[], bool] = lambda: True,
-    ) -> LoadedWear:
-        """Put on what the settings say, with another body or other models by garment index.
+    def dress(self, settings: AvatarSettings, wanted: Callable[[], bool] = lambda: True) -> LoadedWear:
+        """Put on the body and the garments of these settings.
 
         What is worn now serves until all is loaded, and stays when this raises ValueError, or when it is not `wanted`
         any more by then.
         """
         if self._closed:
             raise ValueError(f"{self._label}the avatar is not there any more, nothing is loaded for it")
-        garments = list(self.settings.garments)
-        for index, model in (models or {}).items():
-            garments[index] = replace(garments[index], model=model)
-        mesh = self.settings.body_mesh if body is None else body
-        settings = replace(self.settings, body_mesh=mesh, garments=tuple(garments))
         loaded, previous = self._loader.load(settings), self.worn
         warners = {"on_unknown": self._warn_unknown, "on_degrees": self._warn_degrees}
         now = WornOutfit(settings, loaded, self.garments, previous, **warners)
@@ -127,7 +115,8 @@ class AvatarStream:
                 each.show_mesh()
         for warning in dict.fromkeys([*loaded.outfit.warnings, *(now.separator.warnings if now.separator else ())]):
             self._log.warning(sentence(f"{self._label}{warning}"))
-        source = mesh if mesh and mesh != str(BUNDLED_AVATAR) else "the bundled avatar"
+        source = settings.body_mesh
+        source = source if source and source != str(BUNDLED_AVATAR) else "the bundled avatar"
         for each in now.garments:
             what = f"{shown(each.layer.name)} with {each.layer.vertex_count} vertices on {sentence(source)}"
             self._log.info(f"{self._label}{what}: {self.topic} -> {each.stream.cloud_publisher.topic_name}")

@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -58,7 +59,7 @@ class DrapeNode(LifecycleNode):
         super().__init__("drape_node", **arguments)
         self._streams: dict[str, AvatarStream] = {}
         self._transforms = FollowedTransforms(self)
-        self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
+        self._discoveries: dict[str, BodyDiscovery] = {}  # by the prefix of the settings that the bodies share
         self._reports = self._services_of_swaps = self._body_timer = None
         self._failure: Exception | None = None
         self._starting = False
@@ -143,24 +144,17 @@ class DrapeNode(LifecycleNode):
                 stream.root.frame_input.sway = avatar.sways
             if self._wish(stream) is not None:
                 self._worker.submit(self._grant_wishes, stream)
-        self._templates = [
-            (next(avatar for avatar in settings.avatars if avatar.prefix == template.prefix), discovery)
-            for template, discovery in self._templates
-        ]
 
-    def _wish(self, stream: AvatarStream) -> tuple[str, dict[int, str]] | None:
-        """Body and models by garment index that the parameters ask of a stream; None when it wears them."""
-        avatars = (each for each in self._settings.avatars if not each.discover)
-        avatar = next((each for each in avatars if self._streams.get(each.id) is stream), None)
-        if avatar is None:
-            return None
-        worn = stream.settings
-        models = {
-            index: garment.model
-            for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
-            if garment.model != before.model
-        }
-        return (avatar.body_mesh, models) if models or avatar.body_mesh != worn.body_mesh else None
+    def _wish(self, stream: AvatarStream) -> AvatarSettings | None:
+        """What the parameters ask of a stream; None when it wears that, or is none of theirs."""
+        for avatar in self._settings.avatars:
+            if self._streams.get(avatar.id) is stream and not avatar.discover:
+                return avatar if avatar.worn != stream.settings.worn else None
+        return None
+
+    def _is_wished(self, stream: AvatarStream, wish: AvatarSettings) -> bool:
+        now = self._wish(stream)
+        return now is not None and now.worn == wish.worn
 
     def _grant_wishes(self, stream: AvatarStream) -> None:
         """Have a stream wear what the parameters say in the end, though they may change while it loads.
@@ -168,12 +162,11 @@ class DrapeNode(LifecycleNode):
         Runs on the worker. Where that cannot be loaded, the parameters go back to what is worn.
         """
         while (wish := self._wish(stream)) is not None:
-            body, models = wish
             try:
-                stream.dress(body=body, models=models, wanted=lambda wish=wish: self._wish(stream) == wish)
+                stream.dress(wish, partial(self._is_wished, stream, wish))
             except Exception as error:
                 self._report_swap(stream, error)
-                if self._wish(stream) == wish:
+                if self._is_wished(stream, wish):
                     self._show_settings(stream)
                     return
 
@@ -185,11 +178,8 @@ class DrapeNode(LifecycleNode):
             for name, value in values.items()
             if name in (only or values) and name in self._changeable and self.get_parameter(name).value != value
         ]
-        if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
+        if changed and self._streams.get(worn.id) is stream and not worn.discover:
             self.set_parameters_atomically(changed)
-
-    def _is_template(self, prefix: str) -> bool:
-        return any(template.prefix == prefix for template, _ in self._templates)
 
     # Lifecycle.
 
@@ -261,17 +251,17 @@ class DrapeNode(LifecycleNode):
         for avatar in self._settings.avatars:
             check_orientation(avatar)  # a body that comes later must not fail for it
             if avatar.discover:
-                self._templates.append((avatar, BodyDiscovery(self._settings.max_bodies)))
+                self._discoveries[avatar.prefix] = BodyDiscovery(self._settings.max_bodies)
             else:
                 stream = self._open(avatar)
-                stream.dress()
+                stream.dress(avatar)
                 stream.listen()  # not before: what is sent in the meantime would be lost without being counted
         self._reports = Reports(self, lambda: list(self._streams.values()))
         if not missing_interfaces():
             from physkin_ros.node.swap_services import SwapServices
 
             self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
-        if self._templates:
+        if self._discoveries:
             steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand
             self._body_timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
 
@@ -289,7 +279,7 @@ class DrapeNode(LifecycleNode):
         self._active = False
         for stream in self._streams.values():
             stream.close()
-        self._streams, self._templates = {}, []
+        self._streams, self._discoveries = {}, {}
         self._loader.cancel()  # nobody waits for what is being loaded
         if self._services_of_swaps is not None:
             self._services_of_swaps.close()
@@ -305,7 +295,9 @@ class DrapeNode(LifecycleNode):
 
     def _look_for_bodies(self) -> None:
         publishers = body_publishers(self)
-        for template, discovery in self._templates:
+        for template in self._settings.avatars:
+            if (discovery := self._discoveries.get(template.prefix)) is None:
+                continue
             waiting = discovery.waiting
             came, went = discovery.look(publishers)
             for body in went:
@@ -330,7 +322,7 @@ class DrapeNode(LifecycleNode):
         if self._streams.get(stream.settings.id) is not stream:
             return  # the body has gone again
         try:
-            stream.dress()
+            stream.dress(stream.settings)
         except Exception as error:
             self._report_swap(stream, error)
 
@@ -339,7 +331,7 @@ class DrapeNode(LifecycleNode):
     def _set_body(self, request, response):
         def swap(stream: AvatarStream) -> LoadedWear:
             self._roots.check_body(request.body_mesh)
-            loaded = stream.dress(body=request.body_mesh)
+            loaded = stream.dress(replace(stream.settings, body_mesh=request.body_mesh))
             self._show_settings(stream, (f"{stream.settings.prefix}body_mesh",))
             return loaded
 
@@ -351,8 +343,10 @@ class DrapeNode(LifecycleNode):
             if not request.model:
                 raise SettingsError("model must not be empty")
             self._roots.check_garment(request.model)
-            loaded = stream.dress(models={index: request.model})
-            self._show_settings(stream, (f"{stream.settings.garments[index].prefix}model",))
+            garments = list(stream.settings.garments)
+            garments[index] = replace(garments[index], model=request.model)
+            loaded = stream.dress(replace(stream.settings, garments=tuple(garments)))
+            self._show_settings(stream, (f"{garments[index].prefix}model",))
             return loaded
 
         return self._answer(request, response, swap)

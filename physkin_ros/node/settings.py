@@ -179,6 +179,11 @@ class AvatarSettings:
     )
 
     @property
+    def worn(self) -> tuple[str, ...]:
+        """What is swapped while the node runs: the body, and each garment's model."""
+        return self.body_mesh, *(garment.model for garment in self.garments)
+
+    @property
     def sways(self) -> tuple[float, ...]:
         """Of each garment."""
         return tuple(self.sway if garment.sway is None else garment.sway for garment in self.garments)
