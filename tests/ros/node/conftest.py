@@ -54,10 +54,16 @@ def shared_site(start_shared_site, other_body, model_path, leaning_model_path):
 @pytest.fixture(scope="module")
 def site(shared_site, site_environment):
     """The same, while all that others of this process do in ROS is in its domain, too."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
     with pytest.MonkeyPatch.context() as patch:
         for name, value in site_environment.items():
             patch.setenv(name, value)
         shared_site.clouds.clear()
+        if shared_site.call(GetState, "get_state").current_state.label != "active":
+            for label in ("configure", "activate"):
+                shared_site.call(ChangeState, "change_state", transition=Transition(label=label))
         for avatar in ("alice", "bob", "ann", "bea"):
             shared_site.publisher(f"/{avatar}/joint_states")
         shared_site.until(lambda: "alice/top" in shared_site.statuses, "diagnostics")

@@ -11,7 +11,6 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
@@ -217,33 +216,3 @@ def test_statistics(site, garment_model):
     assert entries["bob", "top"].published >= 20 and entries["bob", "top"].model_name == "vest"
     rates = [entry.published_rate for message in site.statistics for entry in message.garments if entry.avatar == "bob"]
     assert max(rates) > 1
-
-
-def test_lifecycle(site, drapers, garment_model):
-    """Deactivated it answers nothing, cleaned up it has no topics, and a transition that is none does no harm."""
-    rig = garment_model.rig
-    state = lambda: site.call(GetState, "get_state").current_state.label  # noqa: E731
-
-    def change(label: str) -> bool:
-        request = ChangeState.Request()
-        request.transition.label = label
-        return site.call(ChangeState, "change_state", transition=request.transition).success
-
-    assert state() == "active"
-    assert change("deactivate") and state() == "inactive"
-    message = site.state(rig.joint_names, rig.rest)
-    site.publisher("/alice/joint_states").publish(message)
-    site.spin(0.5)
-    assert (TOP, (message.header.stamp.sec, 0)) not in site.clouds
-    assert not change("dance")
-    request = ChangeState.Request()
-    request.transition.id = 97
-    site.node.create_client(ChangeState, "/drape_node/change_state").call_async(request)
-    site.spin(0.3)
-    assert change("cleanup") and state() == "unconfigured"
-    site.until(lambda: not site.node.count_publishers("/drape_node/alice/top/garment"), "end of the topics")
-    assert change("configure") and change("activate") and state() == "active"
-    site.until(site.publisher("/alice/joint_states").get_subscription_count, "subscription again")
-    site.spin(0.3)
-    rest = rig.rest.astype(np.float32)
-    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))

@@ -21,6 +21,8 @@ from builtin_interfaces.msg import Time  # noqa: E402
 from core.points.splat_files import splat_ply  # noqa: E402
 from drape_site import scaled_body  # noqa: E402
 from geometry_msgs.msg import Quaternion, TransformStamped  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -350,6 +352,27 @@ def test_nothing_comes_in_before_the_garment_is_there(peer, running_node, model_
     monkeypatch.setattr(OutfitLoader, "load", watched)
     with running_node({"model": str(model_path)}):
         assert subscribed == [0] and peer.node.count_subscribers("joint_states") == 1
+
+
+def test_lifecycle(peer, running_node, model_path, draper):
+    """Deactivated it answers nothing, cleaned up it has no topics, and a transition that is none does no harm."""
+    names, rest = draper.joint_names, draper.model.rig.rest.astype(np.float32)
+
+    def change(label: str, number: int = 0) -> bool:
+        transition = Transition(id=number, label=label)
+        return peer.call(ChangeState, "change_state", transition=transition).success
+
+    with running_node({"model": str(model_path)}) as node:
+        for label, state in (("deactivate", "inactive"), ("cleanup", "unconfigured"), ("configure", "inactive")):
+            assert change(label) and peer.call(GetState, "get_state").current_state.label == state
+            assert not change("dance") and not change("", 97)
+            peer.send(names, rest, next(STAMPS))
+            peer.spin(0.2)
+            assert not peer.clouds
+            assert (node.count_publishers("drape_node/garment") == 0) == (state == "unconfigured")
+        assert change("activate")
+        peer.connect(settle=0.3)
+        np.testing.assert_array_equal(peer.cloud(names, rest, next(STAMPS)), draper.drape(rest))
 
 
 def test_configuring_fails_with_a_reason(peer, running_node, tmp_path, capfd):

@@ -88,20 +88,15 @@ def test_a_load_that_ends_its_process(site, rig, other_body, number, told):
 
 
 def test_cleaning_up_does_not_wait_for_a_load(site, rig, other_body):
-    """The transition is answered at once, and so is the request; the node can be configured again."""
-    worn = site.cloud(TOP, rig.joint_names, rig.rest)
+    """The transition is answered at once, and so is the request."""
     request, _ = held_up(site, other_body)
     site.spin(0.3)
     began = time.monotonic()
     for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
         assert site.call(ChangeState, "change_state", transition=Transition(id=transition)).success
     assert time.monotonic() - began < 2.0
-    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-        assert site.call(ChangeState, "change_state", transition=Transition(id=transition)).success
     site.until(lambda: "loading was cancelled" in site.log.read_text(), "cancelled load")
     assert not request.done() or not request.result().success
-    site.spin(0.5)
-    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rig.rest), worn)
 
 
 @pytest.mark.slow
