@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any, TypeVar
 
-__all__ = ["PARAMETERS", "attribute_error", "check_options", "refuse_old_names"]
+__all__ = ["attribute_error", "check_options", "refuse_old_names"]
 
 Owner = TypeVar("Owner", bound=type)
 
@@ -20,16 +20,6 @@ OPTIONS = {
     "view": {"--points": "--splats"},
 }
 """Subcommand -> its options."""
-
-PARAMETERS = {
-    "hide": "hide_covered",
-    "load_memory": "load_memory_limit",
-    "load_seconds": "load_timeout",
-    "marker": "publish_marker",
-    "most_bodies": "max_bodies",
-    "points": "splats",
-}
-"""Of the ROS node, its avatars and garments."""
 
 ATTRIBUTES = {
     "physkin_core": {"made_of": "with_fabric"},

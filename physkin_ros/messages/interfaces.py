@@ -10,7 +10,7 @@ def missing_interfaces() -> str:
     try:
         from physkin_msgs.srv import SetBody
 
-        if not hasattr(SetBody.Request, "body_rig"):
+        if not hasattr(SetBody.Request, "body_rig"):  # which earlier versions have
             return ""
         state = "of an earlier version"
     except ImportError:

@@ -7,9 +7,7 @@ import pytest
 import physkin_core
 from physkin_core import BoneRotations, FrameInput, Garment, Layer, Outfit
 from physkin_core.cli import main
-from physkin_core.renamed import ARGUMENTS, ATTRIBUTES, OPTIONS, PARAMETERS
-from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SETTINGS, SettingsError
-from physkin_ros.node.settings_reading import check_names
+from physkin_core.renamed import ARGUMENTS, ATTRIBUTES, OPTIONS
 
 OWNERS = {"physkin_core": physkin_core} | {
     owner.__name__: owner for owner in (BoneRotations, FrameInput, Garment, Layer, Outfit)
@@ -22,15 +20,6 @@ def test_an_old_option_is_refused_by_naming_the_new_one(command, old, capsys):
     for argument in (old, f"{old}=x"):
         assert main([command, argument]) == 2
         assert f"{old} of physkin {command} is now called {OPTIONS[command][old]}" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("old", "new"), PARAMETERS.items())
-def test_an_old_parameter_is_refused_by_naming_the_new_one(old, new):
-    """The new one exists; both at the top and below avatars."""
-    known = NODE_SETTINGS | AVATAR_SETTINGS | GARMENT_SETTINGS
-    assert new in known and old not in known
-    with pytest.raises(SettingsError, match=f"{old} is now called {new}"):
-        check_names([old])
 
 
 @pytest.mark.parametrize(("owner", "old"), [(owner, old) for owner in ATTRIBUTES for old in ATTRIBUTES[owner]])

@@ -68,7 +68,7 @@ def test_soak(domain, tmp_path, seconds):
     bodies = tmp_path / "bodies"
     bodies.mkdir()
     with Children(os.environ, tmp_path) as children:
-        settings = {"avatar": {"orientation": "fixed"}, "garment": {"model": MODEL}, "queue": None}
+        settings = {"avatar": {}, "garment": {"model": MODEL}, "queue": None}
         start_node(children, tmp_path, GARMENTS, asset_roots=[str(bodies)], **settings)
         node = SimpleNamespace(pid=children.pid("node"), poll=lambda: children.finished("node") or None)
         site = Site(domain, node, [])
