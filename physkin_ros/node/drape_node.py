@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -60,7 +61,7 @@ class DrapeNode(LifecycleNode):
         self._streams: dict[str, AvatarStream] = {}
         self._transforms = FollowedTransforms(self)
         self._discoveries: dict[str, BodyDiscovery] = {}  # by the prefix of the settings that the bodies share
-        self._reports = self._services_of_swaps = self._body_timer = None
+        self._opened = ExitStack()  # what else is there while it is configured
         self._failure: Exception | None = None
         self._starting = False
         self._active = False
@@ -256,14 +257,17 @@ class DrapeNode(LifecycleNode):
                 stream = self._open(avatar)
                 stream.dress(avatar)
                 stream.listen()  # not before: what is sent in the meantime would be lost without being counted
-        self._reports = Reports(self, lambda: list(self._streams.values()))
+        reports = Reports(self, lambda: list(self._streams.values()))
+        self._opened.callback(reports.close)
         if not missing_interfaces():
             from physkin_ros.node.swap_services import SwapServices
 
-            self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
+            services = SwapServices(self, self._set_body, self._set_garment)
+            self._opened.callback(services.close)
         if self._discoveries:
             steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand
-            self._body_timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
+            timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
+            self._opened.callback(self.destroy_timer, timer)
 
     def _open(self, avatar: AvatarSettings) -> AvatarStream:
         stream = AvatarStream(self, avatar, self._loader, self._transforms, active=self._active)
@@ -281,15 +285,7 @@ class DrapeNode(LifecycleNode):
             stream.close()
         self._streams, self._discoveries = {}, {}
         self._loader.cancel()  # nobody waits for what is being loaded
-        if self._services_of_swaps is not None:
-            self._services_of_swaps.close()
-            self._services_of_swaps = None
-        if self._reports is not None:
-            self._reports.close()
-            self._reports = None
-        if self._body_timer is not None:
-            self.destroy_timer(self._body_timer)
-            self._body_timer = None
+        self._opened.close()
 
     # Bodies that come and go.
 
