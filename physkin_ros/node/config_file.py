@@ -9,7 +9,7 @@ from pathlib import Path
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.yaml_limits import check_yaml
 from physkin_ros.node.settings import NodeSettings, SettingsError
-from physkin_ros.node.settings_reading import check_names, read_settings
+from physkin_ros.node.settings_reading import read_settings
 
 __all__ = ["load_config"]
 
@@ -49,7 +49,6 @@ def _read(document: object) -> NodeSettings:
         if not isinstance(part, dict) or not isinstance(part.get("ros__parameters"), dict) or len(part) > 1:
             raise SettingsError(f"expected {example}; got {shown(part)}")
         flat |= _flatten(part["ros__parameters"])
-    check_names(flat)
     return read_settings(flat)
 
 

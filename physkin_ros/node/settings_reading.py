@@ -1,4 +1,4 @@
-"""Parameters by their full names, as settings of avatars and garments: unknown ones and what does not go together told.
+"""Parameters by their full names, as settings of avatars and garments. Unknown ones are refused.
 
 Without `avatars` the node dresses one avatar in one garment, and the parameters of both stand at the top. With
 `avatars.ID.KEY` and `avatars.ID.garments.NAME.KEY` it dresses many. Nothing here needs ROS.
@@ -26,48 +26,42 @@ from physkin_ros.node.settings import (
     check_setting,
 )
 
-__all__ = ["avatar_prefixes", "check_names", "model_names", "read_settings"]
+__all__ = ["avatar_prefixes", "model_names", "read_settings"]
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
 
 
-def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
-    """Prefix of each avatar's parameters -> prefixes of its garments', from the names of given parameters.
+def avatar_prefixes(given: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
+    """Prefix of each avatar's parameters -> prefixes of its garments', from given parameters by their full names.
 
-    Without any `avatars.` these are the empty prefix twice. Raises SettingsError for an unknown key below `avatars`, an
-    id that is no identifier, and an avatar without garments.
+    Without any `avatars.` these are the empty prefix twice. Raises SettingsError for a parameter that there is not,
+    naming the nearest that there is, an id that is no identifier, and an avatar without garments.
     """
-    avatars: dict[str, list[str]] = {}
-    for name in names:
-        if name != "avatars" and not name.startswith("avatars."):
-            continue
-        parts = name.split(".")
-        if len(parts) < 3:
-            raise SettingsError(
-                f"parameter {name} is {names[name]!r}; expected avatars.ID.KEY, ID being a name you choose"
-            )
-        avatar = ".".join(parts[:2]) + "."
-        garments = avatars.setdefault(avatar, [])
-        identifiers = [("avatar id", parts[1])]
-        if parts[2] != "garments":
-            key, known, where = ".".join(parts[2:]), [*AVATAR_SETTINGS, "garments"], avatar
-        elif len(parts) < 5:
-            raise SettingsError(
-                f"parameter {name} is {names[name]!r}; expected {avatar}garments.NAME.KEY, you choose NAME, "
-                f"KEY is one of {', '.join(GARMENT_SETTINGS)}"
-            )
-        else:
-            garment = ".".join(parts[:4]) + "."
-            if garment not in garments:
-                garments.append(garment)
-            identifiers.append(("garment name", parts[3]))
-            key, known, where = ".".join(parts[4:]), list(GARMENT_SETTINGS), garment
-        for kind, text in identifiers:
-            if not IDENTIFIER.fullmatch(text):
-                raise SettingsError(
-                    f"parameter {name}: {kind} {text!r}; allowed: letters, digits and _, a letter first"
+    many = any(name.startswith("avatars.") for name in given)
+    avatars: dict[str, dict[str, None]] = {}  # the garments in order
+    for name, value in given.items():
+        match name.split("."):
+            case ["avatars", identity, "garments", garment, key]:
+                where, identifiers, known = (
+                    f"avatars.{identity}.garments.{garment}.",
+                    (identity, garment),
+                    GARMENT_SETTINGS,
                 )
+                avatars.setdefault(f"avatars.{identity}.", {})[where] = None
+            case ["avatars", identity, key] if key != "garments":
+                where, identifiers, known = f"avatars.{identity}.", (identity,), AVATAR_SETTINGS
+                avatars.setdefault(where, {})
+            case ["avatars", *_]:
+                expected = "avatars.ID.KEY or avatars.ID.garments.NAME.KEY, with ID and NAME of your choice"
+                raise SettingsError(f"parameter {name} is {value!r}; expected {expected}")
+            case [first, *_]:
+                if name not in NODE_SETTINGS and first not in BUILT_IN:
+                    _check_alone(name, many)
+                continue
+        for text in identifiers:
+            if not IDENTIFIER.fullmatch(text):
+                raise SettingsError(f"parameter {name}: {text!r}; allowed: letters, digits and _, a letter first")
         if key not in known:
             raise _unknown(key, known, name, f" in {where[:-1]}")
     for avatar, garments in avatars.items():
@@ -76,21 +70,14 @@ def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
     return {avatar: tuple(garments) for avatar, garments in avatars.items()} or {"": ("",)}
 
 
-def check_names(names: Iterable[str]) -> None:
-    """Raises SettingsError for the first parameter that there is not, naming the nearest that there is.
-
-    names: full names, of which those below `avatars` are left to `avatar_prefixes`.
-    """
-    names = list(names)
+def _check_alone(name: str, many: bool) -> None:
+    """Raises SettingsError unless this is a parameter of a node without avatars. many: whether the node has avatars."""
     single = {*AVATAR_SETTINGS, *GARMENT_SETTINGS}
-    many = any(name.startswith("avatars.") for name in names)
-    for name in names:
-        if name in NODE_SETTINGS or name.split(".")[0] in (*BUILT_IN, "avatars") or (name in single and not many):
-            continue
-        if name in single:
-            below = "avatars.ID." if name in AVATAR_SETTINGS else "avatars.ID.garments.NAME."
-            raise SettingsError(f"parameter {name}: beside avatars it is given to each of them, as {below}{name}")
+    if name not in single:
         raise _unknown(name, [*NODE_SETTINGS, *([] if many else single), "avatars"])
+    if many:
+        below = "avatars.ID." if name in AVATAR_SETTINGS else "avatars.ID.garments.NAME."
+        raise SettingsError(f"parameter {name}: beside avatars it is given to each of them, as {below}{name}")
 
 
 def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
@@ -105,7 +92,7 @@ def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = 
 def read_settings(given: Mapping[str, object]) -> NodeSettings:
     """The settings that parameters give, by their full names; the others at their defaults.
 
-    Raises SettingsError naming parameter, value and what is allowed. Names: see `check_names`.
+    Raises SettingsError naming parameter, value and what is allowed.
     """
 
     def read(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
