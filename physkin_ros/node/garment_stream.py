@@ -91,7 +91,7 @@ class LayerMessages:
         self.revision = 1 if before is None else before.revision + (not self._has_mesh_of(before))
         self._cloud = GarmentCloud(self.layer.vertex_count, stream.frame_id)
         self.points = self._cloud.points
-        self._marker: TriangleMarker | None = None
+        self._has_faces, self._marker = len(self.layer.faces) > 0, None
         self._nodes = self._splats = None
         if stream.nodes_publisher is not None:
             self._nodes = NodesMessage(self.layer.bound_visible, stream.frame_id, self.revision)
@@ -116,7 +116,7 @@ class LayerMessages:
             self._nodes.transforms[:] = self.outfit.node_transforms()[self.index]
             self._nodes.features[:] = self.outfit.features()[self.index]
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
-        if len(self.layer.faces) and stream.marker_publisher.handle.get_subscription_count():
+        if self._has_faces and stream.marker_publisher.handle.get_subscription_count():
             if self._marker is None:
                 self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
