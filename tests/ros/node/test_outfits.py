@@ -215,7 +215,10 @@ def test_what_cannot_be_worn_is_told_and_the_old_outfit_goes_on(site, motion):
 def test_plain_parameters(running_node, peer, model_path, leaning_model_path, swaying_model_path):
     """`model` with a comma is an outfit, whose topics are named after its garments; swaps by the parameter."""
     vest, leaning, swaying = map(str, (model_path, leaning_model_path, swaying_model_path))
-    parameters = {"model": f"{swaying}, {vest}", "asset_roots": [str(Path(each).parent) for each in (vest, leaning)]}
+    parameters = {
+        "model": f"{swaying}, {vest}",
+        "asset_roots": [str(Path(each).parent) for each in (vest, leaning, swaying)],
+    }
     with running_node(parameters, connect=False) as node:
         topics = {name for name, _ in node.get_publisher_names_and_types_by_node("drape_node", "/")}
         assert {f"/drape_node/{Path(each).stem}/garment" for each in (swaying, vest)} <= topics
