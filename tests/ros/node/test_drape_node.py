@@ -253,6 +253,7 @@ def test_each_garment_may_sway_by_itself(running_node, model_path, swaying_model
     """What is empty goes as its avatar's does; changes while running."""
     top, bottom = "avatars.host.garments.top.", "avatars.host.garments.bottom."
     wanted = {top + "model": str(model_path), bottom + "model": str(swaying_model_path), bottom + "sway": 0.2}
+    wanted["avatars.host.hide_covered"] = False  # which takes seconds to find
     changes = {
         ("avatars.host.sway", 0.5): (0.5, 0.2),
         (top + "sway", 0.0): (0.0, 0.2),

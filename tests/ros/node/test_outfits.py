@@ -219,7 +219,7 @@ def test_plain_parameters(running_node, peer, model_path, leaning_model_path, sw
         "model": f"{swaying}, {vest}",
         "asset_roots": [str(Path(each).parent) for each in (vest, leaning, swaying)],
     }
-    with running_node(parameters, connect=False) as node:
+    with running_node(parameters | {"hide_covered": False}, connect=False) as node:
         topics = {name for name, _ in node.get_publisher_names_and_types_by_node("drape_node", "/")}
         assert {f"/drape_node/{Path(each).stem}/garment" for each in (swaying, vest)} <= topics
         worn = lambda: [each.model for each in node._streams[""].settings.garments]  # noqa: E731
@@ -242,6 +242,7 @@ def test_interpolated_outfits(running_node, peer, garment_model, model_path, swa
     clouds = {"a": set(), "b": set()}
     parameters = {
         "avatars.eva.cloud_rate": 100.0,
+        "avatars.eva.hide_covered": False,
         "avatars.eva.garments.a.model": str(swaying_model_path),
         "avatars.eva.garments.b.model": str(model_path),
     }
