@@ -31,7 +31,7 @@ physkin node --ros-args -p model:=skirt:denim -p orientation:=odometry -p sway:=
 
 Parameters marked \\* may change while the node runs. The default shows the type; *empty* is an empty string.
 """
-NAME = r"(?<![\w`/.])((?:orientation|outfit): \w+|~/\w[\w/]*|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
+NAME = r"(?<![\w`/.])(orientation: \w+|~/\w[\w/]*|/\w[\w/]*|[\w.:]*\w_\w(?:[\w./]*\w)?)(?![\w/`])"
 PARTS = (
     ("Of the node", "", NodeSettings),
     (

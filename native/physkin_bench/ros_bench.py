@@ -104,7 +104,7 @@ def _measure(case: Case, options: argparse.Namespace, folder: Path) -> Records:
     garments = [{"model": model} for model in options.garment]
     if options.fit is not None:
         garments = [garment | {"fit": options.fit} for garment in garments]
-    parameters = node_parameters(case.avatars, garments, orientation="fixed")
+    parameters = node_parameters(case.avatars, garments)
     if options.queue is not None:
         parameters["qos_overrides"] = {
             f"/a{k}/joint_states": {"subscription": {"depth": options.queue}} for k in range(case.avatars)

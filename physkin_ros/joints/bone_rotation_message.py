@@ -18,7 +18,7 @@ __all__ = ["BoneRotationReader"]
 
 
 class BoneRotationReader:
-    """Reads rotations of bones for a `JointStateReader`, which says what bones that are left out do.
+    """Reads rotations of bones for a `JointStateReader`. Bones that are left out keep their last rotation.
 
     skeleton: whose bones they are (see `BoneRotations`). on_unknown: called with the names that are no bones.
     Raises JointStateError for a rig that bone rotations are not for.
@@ -60,6 +60,6 @@ class BoneRotationReader:
             self._on_unknown(unknown)
             given = {name: given[name] for name in given.keys() - set(unknown)}
         try:
-            out[:] = self._bones.joint_positions(given, start=self._reader.start)
+            out[:] = self._bones.joint_positions(given, start=self._reader.positions)
         except ValueError as error:
             raise JointStateError(str(error)) from error

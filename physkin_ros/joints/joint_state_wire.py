@@ -47,30 +47,18 @@ class JointStateWire:
     """Reads serialised joint states for a `JointStateReader` into one array.
 
     out: (d,) float32 [rad], contiguous; the joint positions after each message.
-    After `read`: stamp (sec, nanosec), values (float64, one a name) and selection of the last message.
+    stamp: (sec, nanosec) of the last message.
     """
 
     def __init__(self, reader: JointStateReader, out: np.ndarray) -> None:
         self.stamp = (0, 0)
         self._reader, self._out = reader, out
         self._recent: list[_Layout] = []
-        self._data, self._layout = b"", None
         self._from, self._to = memoryview(out), memoryview(reader.positions)
 
     def keep(self) -> None:
         """Make the joint positions in `out` the reader's last good ones."""
         self._to[:] = self._from
-
-    @property
-    def values(self) -> np.ndarray:
-        """The last message's positions as they came: float64, one a name."""
-        layout = self._layout
-        return np.frombuffer(self._data, layout.dtype, layout.count, layout.offset)
-
-    @property
-    def selection(self) -> Selection:
-        """What the names of the last message select."""
-        return self._layout.selection
 
     def read(self, data: bytes) -> None:
         """Take over a message.
@@ -87,9 +75,9 @@ class JointStateWire:
         self.stamp = layout.stamp.unpack_from(data, 4)
         if len(data) < layout.offset + 8 * layout.count:
             raise JointStateError(f"the joint state is cut off: {len(data)} bytes")
-        self._data, self._layout = data, layout
         if layout.reading is None or not layout.reading.read(data):
-            self._reader.read_selected(layout.selection, self.values, self._out)
+            values = np.frombuffer(data, layout.dtype, layout.count, layout.offset)
+            self._reader.read_selected(layout.selection, values, self._out)
 
     def _look_into(self, data: bytes) -> _Layout:
         layout = _read_layout(data, self._reader, self._out)
@@ -144,7 +132,7 @@ def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Lay
         selection = reader.select(tuple(names))
         if selection.balls is None:
             swapped = (order == "<") != (sys.byteorder == "little")
-            reading = selection.bind_reading(offset, swapped, reader.start, out)
+            reading = selection.bind_reading(offset, swapped, reader.positions, out)
     except JointStateError as error:
         selection = error
     stamp, dtype = struct.Struct(f"{order}iI"), np.dtype(f"{order}f8")

@@ -74,11 +74,10 @@ class MappedNames:
 class Selection:
     """Which values of a message go where: positions[target] = scale * values[source] + offset, and ball joints.
 
-    names: of the message. index: of each name in them.
+    names: of the message.
     """
 
     names: tuple[str, ...]
-    index: Mapping[str, int]
     source: np.ndarray
     target: np.ndarray
     scale: np.ndarray
@@ -140,8 +139,8 @@ class Selection:
 class JointStateReader:
     """Turns joint states into the joint positions of a rig, whatever the order and number of joints they name.
 
+    Joints that a message does not name keep their last position.
     joint_names, rest: (d,) names and initial positions [rad]. naming: of the messages, default the rig's own names.
-    keep_missing: joints that a message does not name keep their last position; else they go back to `rest`.
     on_unknown: called with the names that mean nothing here, once for each new set of names.
     on_degrees: called with the name and value of a position beyond `FARTHEST`, which is taken as it is.
     positions: (d,) float32 [rad], the last good state.
@@ -153,15 +152,12 @@ class JointStateReader:
         rest: np.ndarray,
         *,
         naming: JointNaming | None = None,
-        keep_missing: bool = True,
         on_unknown: Callable[[list[str]], None] = lambda names: None,
         on_degrees: Callable[[str, float], None] = lambda name, value: None,
     ) -> None:
         self.joint_names = tuple(joint_names)
-        self.rest = np.array(rest, dtype=np.float32)
-        self._positions = self.rest.copy()
+        self._positions = np.array(rest, dtype=np.float32)
         self._naming = MappedNames(joint_names) if naming is None else naming
-        self._keep_missing = keep_missing
         self._index = {name: index for index, name in enumerate(joint_names)}
         self._on_unknown, self._on_degrees = on_unknown, on_degrees
         self._selections: dict[tuple[str, ...], Selection] = {}
@@ -175,11 +171,6 @@ class JointStateReader:
     @positions.setter
     def positions(self, positions: np.ndarray) -> None:
         self._positions[:] = positions
-
-    @property
-    def start(self) -> np.ndarray:
-        """(d,) [rad] what joints have that the next message does not name."""
-        return self.positions if self._keep_missing else self.rest
 
     def read(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
         """Joint positions (d,) float32 [rad] after a joint state; assign to `positions` to keep them.
@@ -200,7 +191,7 @@ class JointStateReader:
 
     def read_selected(self, selection: Selection, values: np.ndarray, out: np.ndarray) -> None:
         """Write the joint positions (d,) after a message of a selection's names into `out`. Raises as `read` does."""
-        np.copyto(out, self.start)
+        np.copyto(out, self.positions)
         if (far := selection.apply(values, out)) is not None:
             self._on_degrees(selection.names[far], float(values[far]))
 
@@ -226,7 +217,6 @@ class JointStateReader:
             self._on_unknown([names[index] for index in found.unknown])
         selection = Selection(
             names=names,
-            index={name: index for index, name in enumerate(names)},
             source=np.array([index for index, _, _, _ in found.scaled], dtype=np.intp),
             target=np.array([self._index[joint] for _, joint, _, _ in found.scaled], dtype=np.intp),
             scale=np.array([scale for _, _, scale, _ in found.scaled]),

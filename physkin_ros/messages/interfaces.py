@@ -8,10 +8,9 @@ __all__ = ["missing_interfaces", "missing_tf"]
 def missing_interfaces() -> str:
     """What there is not without `physkin_msgs`, and how to install it; "" where it is installed in this version."""
     try:
-        from physkin_msgs.msg import GarmentNodes
-        from physkin_msgs.srv import SetBody  # noqa: F401
+        from physkin_msgs.srv import SetBody
 
-        if hasattr(GarmentNodes, "features"):
+        if not hasattr(SetBody.Request, "body_rig"):  # which earlier versions have
             return ""
         state = "of an earlier version"
     except ImportError:

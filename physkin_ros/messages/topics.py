@@ -9,12 +9,14 @@ __all__ = [
     "BONE_ROTATIONS",
     "DIAGNOSTICS",
     "DRAPED_JOINT_STATES",
-    "EFFECTIVE_GRAVITY",
     "GARMENT",
     "GARMENT_NODES",
+    "GRAVITY",
+    "IMU",
     "JOINT_STATES",
     "MARKER",
     "MESH",
+    "ODOMETRY",
     "SET_BODY",
     "SET_GARMENT",
     "SPLATS",
@@ -70,7 +72,7 @@ SPLAT_ATTRIBUTES = Topic(
     needs="splats",
 )
 MARKER = Topic(
-    "~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz", needs="publish_marker"
+    "~/marker", "out", "visualization_msgs/Marker", "the garment's triangles, for RViz, while the topic has subscribers"
 )
 MESH = Topic(
     "~/mesh",
@@ -96,12 +98,27 @@ BONE_ROTATIONS = Topic(
     "sensor_msgs/MultiDOFJointState",
     "rotations of bones, instead of joint states",
 )
-EFFECTIVE_GRAVITY = Topic(
-    "~/effective_gravity",
+GRAVITY = Topic(
+    "gravity",
     "in",
     "geometry_msgs/Vector3Stamped",
-    "gravity minus the acceleration of the root, in the root frame, at most 29.4 m/s2; zero in free fall. Each message "
-    "replaces all other sources for 0.5 s",
+    "direction of gravity in the root frame, of any length but zero. Send it before its joint state",
+    needs="orientation: gravity",
+)
+ODOMETRY = Topic(
+    "odometry",
+    "in",
+    "nav_msgs/Odometry",
+    "where the root is, in a frame whose Z is up. Twist and covariance are not read",
+    needs="orientation: odometry",
+)
+IMU = Topic(
+    "imu",
+    "in",
+    "sensor_msgs/Imu",
+    "an IMU with the axes of the root. Its orientation gives gravity; its linear acceleration (at rest 9.81 m/s2 "
+    "upwards) lets cloth sway. Without an orientation, the acceleration gives both",
+    needs="orientation: imu",
 )
 WIND = Topic(
     "~/wind",
@@ -129,28 +146,15 @@ SET_GARMENT = Topic("~/set_garment", "service", "physkin_msgs/SetGarment", "puts
 TOPICS = (
     JOINT_STATES,
     BONE_ROTATIONS,
+    GRAVITY,
+    ODOMETRY,
     Topic(
-        "gravity",
+        "/tf",
         "in",
-        "geometry_msgs/Vector3Stamped",
-        "direction of gravity in the root frame, of any length but zero. Send it before its joint state",
-        needs="orientation: gravity",
+        "tf2_msgs/TFMessage",
+        "the same as odometry, from world_frame to frame_id",
+        needs="orientation: tf",
     ),
-    Topic(
-        "pose",
-        "in",
-        "geometry_msgs/PoseStamped",
-        "where the root is, in a frame whose Z is up",
-        needs="orientation: pose",
-    ),
-    Topic(
-        "odometry",
-        "in",
-        "nav_msgs/Odometry",
-        "the same as pose. Twist and covariance are not read",
-        needs="orientation: odometry",
-    ),
-    Topic("/tf", "in", "tf2_msgs/TFMessage", "the same as pose, from world_frame to frame_id", needs="orientation: tf"),
     Topic(
         "/tf_static",
         "in",
@@ -158,25 +162,10 @@ TOPICS = (
         "the transforms of /tf that never change",
         needs="orientation: tf",
     ),
-    Topic(
-        "imu",
-        "in",
-        "sensor_msgs/Imu",
-        "an IMU with the axes of the root. Its orientation gives gravity; its linear acceleration (at rest 9.81 m/s2 "
-        "upwards) lets cloth sway. Without an orientation, the acceleration gives both",
-        needs="orientation: imu",
-    ),
-    EFFECTIVE_GRAVITY,
+    IMU,
     WIND,
     GARMENT,
     DRAPED_JOINT_STATES,
-    Topic(
-        "/tf",
-        "out",
-        "tf2_msgs/TFMessage",
-        "the transform from the frame of the poses to frame_id",
-        needs="publish_tf",
-    ),
     SPLATS,
     SPLAT_ATTRIBUTES,
     MARKER,

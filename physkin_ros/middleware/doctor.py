@@ -89,4 +89,4 @@ def _shared_memory() -> Iterator[Finding]:
     if names := leftovers():
         size = sum((SHARED_MEMORY / name).stat().st_size for name in names if (SHARED_MEMORY / name).exists())
         said = f"{size / 1e6:.0f} MB left by processes that were killed"
-        yield Finding("shared memory", "note", said, "fastdds shm clean, or the parameter clear_shared_memory")
+        yield Finding("shared memory", "note", said, "fastdds shm clean")

@@ -33,18 +33,28 @@ class FollowingSubscription:
     So reliable publishers lose nothing while others come and go; what both subscriptions bring is taken once. A
     parameter `qos_overrides./TOPIC.subscription.reliability` ends that: there is one subscription, as it says.
     callback: takes a message, its bytes where `raw`. topic: its full name. latched: take what publishers have kept of
-    before, too; those that keep nothing are not heard then.
+    before, too; those that keep nothing are not heard then. on_lost: called with the number of messages that the
+    middleware has lost, where it can tell.
     """
 
     def __init__(
-        self, node, kind: type, topic: str, callback: Callable, *, raw: bool = False, latched: bool = False
+        self,
+        node,
+        kind: type,
+        topic: str,
+        callback: Callable,
+        *,
+        raw: bool = False,
+        latched: bool = False,
+        on_lost: Callable[[int], None] = lambda number: None,
     ) -> None:
         self._node, self._kind = node, kind
         self._durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         self._callback = callback if raw else lambda data: callback(deserialize_message(data, kind))
         self._ahead: OrderedDict[int, int] = OrderedDict()
         self._best_effort = None
-        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
+        lost = self._lost = {"message_lost": lambda event: on_lost(event.total_count_change)}
+        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible, **lost)
         quality = stream_quality(QUEUE, self._durability)
         self._first = node.create_subscription(kind, topic, self._on_first, raw=True, event_callbacks=events, **quality)
 
@@ -88,8 +98,9 @@ class FollowingSubscription:
         if self._best_effort is not None or self._is_chosen:
             return
         quality = QoSProfile(depth=QUEUE, reliability=BEST_EFFORT, durability=self._durability)
+        events = SubscriptionEventCallbacks(**self._lost)
         self._best_effort = self._node.create_subscription(
-            self._kind, self.topic, self._on_best_effort, quality, raw=True
+            self._kind, self.topic, self._on_best_effort, quality, raw=True, event_callbacks=events
         )
         self._node.get_logger().info(
             f"{self.topic}: subscribed best effort, too, as a publisher offers no more; what is lost of that is not "

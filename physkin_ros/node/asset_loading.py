@@ -6,12 +6,12 @@ a process of its own does.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from physkin_core import BUNDLED_AVATAR, Layer, Outfit
+from physkin_core import BUNDLED_AVATAR, Outfit
 from physkin_core.file_reading import LARGEST_FILE
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import GarmentRequest, OutfitRequest
@@ -20,9 +20,9 @@ from physkin_core.model.model_file import shipped_models, split_fabric
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit
 from physkin_core.separation.limb_separator import BoundLimbs
 from physkin_ros.joints.nearest_names import nearest_names
-from physkin_ros.node.settings import GarmentSettings
+from physkin_ros.node.settings import AvatarSettings
 
-__all__ = ["AssetError", "AssetRoots", "LoadedLayer", "OutfitLoader"]
+__all__ = ["AssetError", "AssetRoots", "LoadedWear", "OutfitLoader"]
 
 
 class AssetError(ValueError):
@@ -54,11 +54,10 @@ class AssetRoots:
                 raise AssetError(f"no garment model {file!r}; {hint}")
             self._check(file)
 
-    def check_body(self, *paths: str) -> None:
-        """The same of a body's files, empty for none."""
-        for path in paths:
-            if path and Path(path) != BUNDLED_AVATAR:
-                self._check(path)
+    def check_body(self, path: str) -> None:
+        """The same of a body, empty for the bundled one."""
+        if path and Path(path) != BUNDLED_AVATAR:
+            self._check(path)
 
     def _check(self, path: str) -> None:
         """Raises AssetError for a file elsewhere (links are followed), one that is too large, and what is no file."""
@@ -76,22 +75,15 @@ class AssetRoots:
 
 
 @dataclass(frozen=True)
-class LoadedLayer:
-    """A garment of an outfit, its index from the skin outwards, whether the outfit was known from before, and how long
-    that took [s]. limbs: of the body, where they were asked for. splats: on the garment, where its settings name a file
-    of them."""
+class LoadedWear:
+    """An outfit on a body, whether it was known from before, and how long that took [s]. limbs: of the body, where
+    they are to be separated. splats: on the only garment, where its settings name a file of them."""
 
     outfit: Outfit
-    index: int
     cached: bool
     seconds: float
-    limbs: BoundLimbs | None = None
-    splats: SplatsOnOutfit | None = None
-
-    @property
-    def layer(self) -> Layer:
-        """The garment as it is worn."""
-        return self.outfit.layers[self.index]
+    limbs: BoundLimbs | None
+    splats: SplatsOnOutfit | None
 
 
 class OutfitLoader:
@@ -100,35 +92,20 @@ class OutfitLoader:
     def __init__(self, *, seconds: float, memory: int) -> None:
         self._loader = AssetLoader(seconds=seconds, memory=memory)
 
-    def load(
-        self,
-        garments: Sequence[GarmentSettings],
-        body_mesh: str,
-        body_rig: str,
-        *,
-        hide_covered: bool,
-        limbs: bool = False,
-    ) -> list[LoadedLayer]:
-        """Put garments on a body over each other, the innermost first, precision and normals being those of the first.
-
-        body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide_covered: as of `Outfit`. limbs: look at
-        the body's limbs, too. Raises ValueError naming what is wrong, or what cannot be worn so.
-        """
-        started, first = perf_counter(), garments[0]
-        several = len(garments) > 1
+    def load(self, avatar: AvatarSettings) -> LoadedWear:
+        """What an avatar is to wear. Raises ValueError naming what is wrong, or what cannot be worn so."""
+        started, first = perf_counter(), avatar.garments[0]
         request = OutfitRequest(
-            tuple(GarmentRequest(each.model, each.tucked and several, each.fit) for each in garments),
-            body_mesh or str(BUNDLED_AVATAR),
-            body_rig,
-            hide_covered=hide_covered,
-            limbs=limbs,
-            points="" if several else first.splats,
+            tuple(GarmentRequest(each.model, each.tucked, each.fit) for each in avatar.garments),
+            avatar.body_mesh or str(BUNDLED_AVATAR),
+            hide_covered=avatar.hide_covered,
+            limbs=avatar.separate_limbs,
+            points=first.splats,
         )
-        outfit, loaded = self._loader.outfit(request, precision=first.precision or None, normals=first.normals)
+        outfit, loaded = self._loader.outfit(request, precision=avatar.precision or None)
         if loaded.splats_refused:
             raise ValueError(f"parameter {first.prefix}splats: {loaded.splats_refused}")
-        took = perf_counter() - started
-        return [LoadedLayer(outfit, k, loaded.cached, took, loaded.limbs, loaded.splats) for k in range(len(garments))]
+        return LoadedWear(outfit, loaded.cached, perf_counter() - started, loaded.limbs, loaded.splats)
 
     def cancel(self) -> None:
         """Let what is being loaded fail at once."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_ros.node.settings import NodeSettings, SettingsError
-from physkin_ros.node.settings_reading import check_names, read_settings
+from physkin_ros.node.settings_reading import read_settings
 
 __all__ = ["load_config"]
 
@@ -47,29 +47,18 @@ def _read(document: object) -> NodeSettings:
         if not isinstance(part, dict) or not isinstance(part.get("ros__parameters"), dict) or len(part) > 1:
             raise SettingsError(f"expected {example}; got {shown(part)}")
         flat |= _flatten(part["ros__parameters"])
-    check_names(flat)
     return read_settings(flat)
 
 
 def _flatten(tree: Mapping, prefix: str = "") -> dict[str, object]:
-    """Nested mappings as one, keys joined by dots. Raises SettingsError for what rcl would refuse less clearly."""
+    """Nested mappings as one, keys joined by dots. Raises SettingsError for an empty one, which rcl would pass over."""
     flat: dict[str, object] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        if not isinstance(key, str):
-            raise SettingsError(
-                f"key {shown(name)} is a {type(key).__name__}; write it in quotes, starting with a letter"
-            )
         if isinstance(value, dict):
             if not value:
                 raise SettingsError(f"{name} is empty; leave it out, or give it keys")
             flat |= _flatten(value, f"{name}.")
-        elif value is None:
-            raise SettingsError(f"{name} has no value")
-        elif isinstance(value, list) and len({type(item) for item in value}) != 1:
-            raise SettingsError(
-                f"{name} is {shown(value)}; the items of a list must be of one type, such as [0.0, 0.0, -1.0]"
-            )
         else:
             flat[name] = value
     return flat

@@ -1,13 +1,12 @@
-"""What the drape node counts, and how it tells: `/diagnostics` for people and monitors, `~/statistics` in numbers.
+"""What the drape node counts of an avatar, and the figures of a period that `/diagnostics` and `~/statistics` give.
 
 Dimensions: `d` degrees of freedom. Times [ns] unless a name says otherwise.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import physkin_core._native as _native
@@ -15,11 +14,27 @@ import physkin_core._native as _native
 from physkin_core import Rig
 from physkin_core.file_reading import sentence
 
-__all__ = ["AvatarStatistics", "GarmentStatistics", "Health", "HealthReporter", "PoseRange", "diagnostic_status"]
+__all__ = ["AvatarStatistics", "Health", "PoseRange", "diagnostic_status"]
 
 MOST_TIMES = 100_000  # kept between two reports, should nobody report
 NOTICEABLE = 0.02  # [rad] beyond a limit
 LEAST_SEPARATION = 1e-3  # [rad] smaller changes are not counted
+
+COUNTED = {
+    "received": "joint states received",
+    "published": "clouds published",
+    "rejected": "joint states rejected",
+    "not_ready": "joint states before a garment was ready",
+    "implausible": "joint states that look like degrees",
+    "gravity_rejected": "gravity messages rejected",
+    "wind_rejected": "wind messages rejected",
+    "swaps_failed": "swaps failed",
+    "lost": "joint states lost on the way",
+    "limbs_separated": "joint states with limbs separated",
+}
+"""What is counted: names in `physkin_msgs/GarmentStatistics` -> names in the diagnostics. Joint states that look like
+degrees are draped all the same; those that are not ready came while the node was inactive or still loaded."""
+TROUBLES = COUNTED.keys() - {"received", "published", "limbs_separated"}
 
 
 class PoseRange:
@@ -58,198 +73,140 @@ class PoseRange:
         self._most.fill(-np.inf)
 
 
-@dataclass
 class AvatarStatistics:
-    """Counts of one avatar since it was configured. Reasons may quote what strangers send; they are made sentences.
+    """Counts of one avatar since it was configured.
 
-    gravity_rejected: messages of a direction that is none, or of an effective gravity that cannot be; wind_rejected:
-    of a wind that cannot be. They count as rejections to warn about, but not as joint states. not_ready: joint states
-    while there was nothing to drape yet, or the node was inactive. implausible: joint states that look like degrees,
-    draped all the same; last_implausible says which joint. last_error: of a swap. last_stamp_ns: of the last joint
-    state that was draped, None before the first. strangers: who publishes something else than joint states on their
-    topic, which DDS does not deliver. offered: quality of service that topics are published with. missing: as
-    `MissingMessages` counts joint states.
+    counts: by the names of `COUNTED`. reasons: of the last one of each that had a reason; what strangers send may be
+    quoted in them, so they are made sentences. last_rejection: the last of those of rejected messages.
     """
 
-    received: int = 0
-    rejected: int = 0
-    gravity_rejected: int = 0
-    wind_rejected: int = 0
-    not_ready: int = 0
-    implausible: int = 0
-    swaps_failed: int = 0
-    deadline_missed: int = 0
-    last_implausible: str = ""
-    last_rejection: str = ""
-    last_error: str = ""
-    strangers: str = ""
-    offered: str = ""
-    missing: int = 0
-    last_stamp_ns: int | None = None
-    limbs_separated: int = 0
-    largest_separation: float | None = None
+    def __init__(self) -> None:
+        self.counts = dict.fromkeys(COUNTED, 0)
+        self.reasons: dict[str, str] = {}
+        self.last_rejection = ""
+        self._last_stamp_ns: int | None = None
+        self._largest_separation: float | None = None
+        self._evaluation_ns: list[int] = []
+        self._reported = dict(self.counts)
+        self._reported_ns: int | None = None
 
-    def separate(self, change: float) -> None:
-        """Count a joint state of which a position was changed by so much [rad], if any was."""
-        self.limbs_separated += change > LEAST_SEPARATION
-        self.largest_separation = max(change, self.largest_separation or 0.0)
+    def count(self, what: str, reason: str = "", *, number: int = 1) -> None:
+        """Count something, and keep why."""
+        self.counts[what] += number
+        if reason:
+            self.reasons[what] = sentence(reason)
+            if what.endswith("rejected"):
+                self.last_rejection = self.reasons[what]
 
-    def reject(self, reason: str) -> None:
-        """Count a joint state that was not draped, and keep why."""
-        self.rejected += 1
-        self.last_rejection = sentence(reason)
+    def draped(self, stamp_ns: int, evaluation_ns: int, separation: float | None = None) -> None:
+        """Count a joint state that was draped. separation: how far its positions were moved apart [rad], if at all."""
+        self.counts["published"] += 1
+        self._last_stamp_ns = stamp_ns
+        self._evaluation_ns.append(evaluation_ns)
+        if len(self._evaluation_ns) > MOST_TIMES:
+            self._evaluation_ns.clear()
+        if separation is not None:
+            self.counts["limbs_separated"] += separation > LEAST_SEPARATION
+            self._largest_separation = max(separation, self._largest_separation or 0.0)
 
-    def reject_gravity(self, reason: str) -> None:
-        """Count an orientation message that was not used, and keep why."""
-        self.gravity_rejected += 1
-        self.last_rejection = sentence(reason)
-
-    def reject_wind(self, reason: str) -> None:
-        """Count a message of wind that was not used, and keep why."""
-        self.wind_rejected += 1
-        self.last_rejection = sentence(reason)
-
-    def fail_swap(self, reason: str) -> None:
-        """Count a swap that failed, and keep why."""
-        self.swaps_failed += 1
-        self.last_error = sentence(reason)
-
-    def doubt(self, reason: str) -> None:
-        """Count a joint state that looks like degrees, and keep which joint."""
-        self.implausible += 1
-        self.last_implausible = sentence(reason)
-
-
-@dataclass
-class GarmentStatistics:
-    """Clouds of one garment since it was configured, and what those of the last period took."""
-
-    published: int = 0
-    evaluation_ns: list[int] = field(default_factory=list)
-
-    def draped(self, evaluation_ns: int) -> None:
-        """Count a cloud and how long the evaluation took."""
-        self.published += 1
-        self.evaluation_ns.append(evaluation_ns)
-        if len(self.evaluation_ns) > MOST_TIMES:
-            self.evaluation_ns.clear()
+    def health(self, now_ns: int, beyond: Sequence[str] = (), strangers: str = "", offered: str = "") -> Health:
+        """The figures since the last call. now_ns: monotonic. The others: see `Health`."""
+        period = 1.0 if self._reported_ns is None else max(1e-3, (now_ns - self._reported_ns) / 1e9)
+        new = {what: count - self._reported[what] for what, count in self.counts.items()}
+        self._reported, self._reported_ns = dict(self.counts), now_ns
+        times, self._evaluation_ns = self._evaluation_ns, []
+        p50, p99 = (np.percentile(times, (50, 99)) / 1e3).tolist() if times else (None, None)
+        return Health(
+            counts=self._reported,
+            new=new,
+            period=period,
+            reasons=dict(self.reasons),
+            last_rejection=self.last_rejection,
+            evaluation_p50=p50,
+            evaluation_p99=p99,
+            last_stamp_ns=self._last_stamp_ns,
+            largest_separation=self._largest_separation,
+            beyond=beyond,
+            strangers=strangers,
+            offered=offered,
+        )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Health:
-    """One garment on one avatar over a period: what both ways of telling are made from.
+    """The figures of an avatar over a period [s]; those that are not there are None.
 
-    beyond: joints outside the trained range. period: [s]. evaluation_us: median and 99th percentile, None without
-    frames. new: by name of a count of `AvatarStatistics`, what came in the period.
+    counts, new: by the names of `COUNTED`, in all and in the period. evaluation_p50, evaluation_p99: [us] of a frame.
+    last_stamp_ns: of the last joint state that was draped. largest_separation: [rad]. beyond: joints outside the
+    trained range. strangers: who publishes something else than joint states on their topic, which DDS does not deliver.
+    offered: quality of service that topics are published with.
     """
 
-    counts: AvatarStatistics
-    published: int
+    counts: Mapping[str, int]
+    new: Mapping[str, int]
     period: float
-    received_rate: float
-    published_rate: float
-    evaluation_us: tuple[float, float] | None
-    new: dict[str, int]
+    reasons: Mapping[str, str]
+    last_rejection: str
+    evaluation_p50: float | None
+    evaluation_p99: float | None
+    last_stamp_ns: int | None
+    largest_separation: float | None
     beyond: Sequence[str]
+    strangers: str
+    offered: str
+
+    @property
+    def received_rate(self) -> float:
+        """Of joint states [Hz]."""
+        return self.new["received"] / self.period
+
+    @property
+    def published_rate(self) -> float:
+        """Of clouds [Hz]."""
+        return self.new["published"] / self.period
 
     def summary(self) -> tuple[bool, str]:
         """Whether all is well, and a sentence; troubles of the period, none of which hides another."""
-        counts, new = self.counts, self.new
-        rejected = new["rejected"] + new["gravity_rejected"] + new["wind_rejected"]
-        troubles = (
-            (rejected, f"{rejected} messages rejected: {counts.last_rejection}"),
-            (new["swaps_failed"], f"swap failed, the old one stays on: {counts.last_error}"),
-            (new["implausible"], f"{new['implausible']} joint states look like degrees: {counts.last_implausible}"),
-            (new["not_ready"], f"{new['not_ready']} joint states came before the garment was ready"),
-            (new["missing"], f"{new['missing']} joint states are missing, by the gaps in their stamps"),
-            (new["deadline_missed"], f"{new['deadline_missed']} joint states missed the deadline"),
-        )
-        if any(count for count, _ in troubles):
-            return False, "; ".join(text for count, text in troubles if count)
-        if self.evaluation_us is not None:
+        troubles = [
+            f"{count} {COUNTED[what]}" + (f": {self.reasons[what]}" if what in self.reasons else "")
+            for what, count in self.new.items()
+            if count and what in TROUBLES
+        ]
+        if troubles:
+            return False, "; ".join(troubles)
+        if self.evaluation_p50 is not None:
             if self.beyond:
                 return False, f"draping, but the pose is outside the trained range: {self.beyond[0]}"
             return True, "draping"
-        if counts.strangers:
-            return False, f"no joint states, but other messages on their topic: {counts.strangers}"
-        return True, "waiting for joint states" if not counts.received else "no joint states in the last second"
+        if self.strangers:
+            return False, f"no joint states, but other messages on their topic: {self.strangers}"
+        return True, "no joint states in the last second" if self.counts["received"] else "waiting for joint states"
 
     def values(self, now_ns: int) -> dict[str, str]:
         """Named values as text. now_ns: time on the stamps' clock."""
-        counts = self.counts
-        age = None if counts.last_stamp_ns is None else (now_ns - counts.last_stamp_ns) / 1e9
-        p50, p99 = self.evaluation_us or (None, None)
-        return {
-            "joint states received": str(counts.received),
+        age = None if self.last_stamp_ns is None else (now_ns - self.last_stamp_ns) / 1e9
+        return {COUNTED[what]: str(count) for what, count in self.counts.items()} | {
             "joint states [Hz]": _number(self.received_rate, 1),
-            "clouds published": str(self.published),
             "clouds [Hz]": _number(self.published_rate, 1),
-            "joint states rejected": str(counts.rejected),
-            "joint states before a garment was ready": str(counts.not_ready),
-            "joint states that look like degrees": str(counts.implausible),
-            "gravity messages rejected": str(counts.gravity_rejected),
-            "wind messages rejected": str(counts.wind_rejected),
-            "last rejection": counts.last_rejection or "none",
-            "swaps failed": str(counts.swaps_failed),
-            "last error": counts.last_error or "none",
-            "joint states missing by gaps in stamps": str(counts.missing),
-            "quality of service offered": counts.offered or "none",
-            "publishers of another type": counts.strangers or "none",
-            "deadline missed": str(counts.deadline_missed),
-            "evaluation p50 [us]": _number(p50, 1),
-            "evaluation p99 [us]": _number(p99, 1),
+            "last rejection": self.last_rejection or "none",
+            "last error": self.reasons.get("swaps_failed", "none"),
+            "quality of service offered": self.offered or "none",
+            "publishers of another type": self.strangers or "none",
+            "evaluation p50 [us]": _number(self.evaluation_p50, 1),
+            "evaluation p99 [us]": _number(self.evaluation_p99, 1),
             "last stamp age [s]": _number(age, 3),
-            "joint states with limbs separated": str(counts.limbs_separated),
-            "largest separation [rad]": _number(counts.largest_separation, 3),
+            "largest separation [rad]": _number(self.largest_separation, 3),
             "outside the trained range": "; ".join(self.beyond[:3]) or "none",
         }
 
     def fill(self, message) -> None:
-        """Set the numbers of a `physkin_msgs/GarmentStatistics`."""
-        counts = self.counts
-        for name in ("received", "rejected", "not_ready", "implausible", "deadline_missed"):
-            setattr(message, name, getattr(counts, name))
-        message.published = self.published
-        message.received_rate, message.published_rate = self.received_rate, self.published_rate
-        message.evaluation_p50, message.evaluation_p99 = self.evaluation_us or (math.nan, math.nan)
-
-
-class HealthReporter:
-    """Takes the health of an avatar and its garments from one report to the next."""
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-        self._before: dict[str, int] = {}
-
-    def report(
-        self, counts: AvatarStatistics, garments: Sequence[GarmentStatistics], beyond: Sequence[str], now_ns: int
-    ) -> list[Health]:
-        """Health of each garment since the last call. now_ns: monotonic time."""
-        period = 1.0 if self._last_ns is None else max(1e-3, (now_ns - self._last_ns) / 1e9)
-        self._last_ns = now_ns
-        new = {name: self._since(name, count) for name, count in vars(counts).items() if isinstance(count, int)}
-        found = []
-        for index, garment in enumerate(garments):
-            times, garment.evaluation_ns = garment.evaluation_ns, []
-            p50, p99 = np.percentile(times, (50, 99)) / 1e3 if times else (0.0, 0.0)
-            found.append(
-                Health(
-                    counts=counts,
-                    published=garment.published,
-                    period=period,
-                    received_rate=new["received"] / period,
-                    published_rate=self._since(f"published {index}", garment.published) / period,
-                    evaluation_us=(float(p50), float(p99)) if times else None,
-                    new=new,
-                    beyond=beyond,
-                )
-            )
-        return found
-
-    def _since(self, name: str, count: int) -> int:
-        new = count - self._before.get(name, 0)
-        self._before[name] = count
-        return new
+        """Set the numbers of a `physkin_msgs/GarmentStatistics`, NaN for those that are not there."""
+        for name in message.get_fields_and_field_types():
+            if name in self.counts:
+                setattr(message, name, self.counts[name])
+            elif name not in ("avatar", "garment", "model_name"):
+                value = getattr(self, name)
+                setattr(message, name, np.nan if value is None else value)
 
 
 def diagnostic_status(name: str, hardware_id: str, well: bool, message: str, values: dict[str, str]):

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
@@ -23,8 +25,7 @@ from physkin_core.model.model_file import shipped_models
 from physkin_ros.joints.ros4hri import ROS4HRI
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.middleware.answers import answer_all
-from physkin_ros.middleware.shared_memory import leftovers, remove_shared_memory
-from physkin_ros.node.asset_loading import AssetRoots, OutfitLoader
+from physkin_ros.node.asset_loading import AssetRoots, LoadedWear, OutfitLoader
 from physkin_ros.node.avatar_stream import AvatarStream
 from physkin_ros.node.body_discovery import BodyDiscovery, body_publishers
 from physkin_ros.node.orientation_source import check_orientation
@@ -59,8 +60,8 @@ class DrapeNode(LifecycleNode):
         super().__init__("drape_node", **arguments)
         self._streams: dict[str, AvatarStream] = {}
         self._transforms = FollowedTransforms(self)
-        self._templates: list[tuple[AvatarSettings, BodyDiscovery]] = []
-        self._reports = self._services_of_swaps = self._body_timer = None
+        self._discoveries: dict[str, BodyDiscovery] = {}  # by the prefix of the settings that the bodies share
+        self._opened = ExitStack()  # what else is there while it is configured
         self._failure: Exception | None = None
         self._starting = False
         self._active = False
@@ -75,11 +76,8 @@ class DrapeNode(LifecycleNode):
             (
                 file
                 for avatar in self._settings.avatars
-                for file in (
-                    avatar.body_mesh,
-                    avatar.body_rig,
-                    *(each.file for each in avatar.garments if each.file not in shipped_models()),
-                )
+                for file in (avatar.body_mesh, *(each.file for each in avatar.garments))
+                if file not in shipped_models()
             ),
         )
         self._loader = OutfitLoader(seconds=self._settings.load_timeout, memory=self._settings.load_memory_limit)
@@ -88,7 +86,6 @@ class DrapeNode(LifecycleNode):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._follow_parameters)
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
-        self._tell_leftovers()
         if missing := missing_interfaces():
             self.get_logger().warning(missing)
         if self._settings.autostart:
@@ -110,7 +107,7 @@ class DrapeNode(LifecycleNode):
             key = parameter.name.rsplit(".", 1)[-1]
             try:
                 value = check_setting(parameter.name, setting, parameter.value)
-                if key in ("body_mesh", "body_rig"):
+                if key == "body_mesh":
                     self._roots.check_body(value)
                 elif key == "model":
                     self._check_models(parameter.name, value)
@@ -139,34 +136,26 @@ class DrapeNode(LifecycleNode):
         self._settings = settings = self._read_settings()
         by_prefix = {avatar.prefix: avatar for avatar in settings.avatars}
         for stream in list(self._streams.values()):  # bodies may be found meanwhile, by another thread
-            stream.deadline_ns = round(1e9 * settings.deadline)
             avatar = by_prefix[stream.settings.prefix]  # of bodies that were discovered, their template
             if avatar.prefix + "gravity" in names:
-                stream.set_gravity(avatar.gravity)
+                stream.root.set_direction(avatar.gravity)
             if avatar.prefix + "wind" in names:
-                stream.set_wind(avatar.wind)
+                stream.root.frame_input.wind = avatar.wind
             if names & {each.prefix + "sway" for each in (avatar, *avatar.garments)}:
-                stream.set_sway(avatar.sways)
+                stream.root.frame_input.sway = avatar.sways
             if self._wish(stream) is not None:
                 self._worker.submit(self._grant_wishes, stream)
-        self._templates = [
-            (next(avatar for avatar in settings.avatars if avatar.prefix == template.prefix), discovery)
-            for template, discovery in self._templates
-        ]
 
-    def _wish(self, stream: AvatarStream) -> tuple[tuple[str, str], dict[int, str]] | None:
-        """Body and models by garment index that the parameters ask of a stream; None when it wears them."""
-        avatars = (each for each in self._settings.avatars if not each.discover)
-        avatar = next((each for each in avatars if self._streams.get(each.id) is stream), None)
-        if avatar is None:
-            return None
-        body, worn = (avatar.body_mesh, avatar.body_rig), stream.settings
-        models = {
-            index: garment.model
-            for index, (garment, before) in enumerate(zip(avatar.garments, worn.garments))
-            if garment.model != before.model
-        }
-        return (body, models) if models or body != (worn.body_mesh, worn.body_rig) else None
+    def _wish(self, stream: AvatarStream) -> AvatarSettings | None:
+        """What the parameters ask of a stream; None when it wears that, or is none of theirs."""
+        for avatar in self._settings.avatars:
+            if self._streams.get(avatar.id) is stream and not avatar.discover:
+                return avatar if avatar.worn != stream.settings.worn else None
+        return None
+
+    def _is_wished(self, stream: AvatarStream, wish: AvatarSettings) -> bool:
+        now = self._wish(stream)
+        return now is not None and now.worn == wish.worn
 
     def _grant_wishes(self, stream: AvatarStream) -> None:
         """Have a stream wear what the parameters say in the end, though they may change while it loads.
@@ -174,12 +163,11 @@ class DrapeNode(LifecycleNode):
         Runs on the worker. Where that cannot be loaded, the parameters go back to what is worn.
         """
         while (wish := self._wish(stream)) is not None:
-            body, models = wish
             try:
-                stream.dress(body=body, models=models, wanted=lambda wish=wish: self._wish(stream) == wish)
+                stream.dress(wish, partial(self._is_wished, stream, wish))
             except Exception as error:
                 self._report_swap(stream, error)
-                if self._wish(stream) == wish:
+                if self._is_wished(stream, wish):
                     self._show_settings(stream)
                     return
 
@@ -191,11 +179,8 @@ class DrapeNode(LifecycleNode):
             for name, value in values.items()
             if name in (only or values) and name in self._changeable and self.get_parameter(name).value != value
         ]
-        if changed and self._streams.get(worn.id) is stream and not self._is_template(worn.prefix):
+        if changed and self._streams.get(worn.id) is stream and not worn.discover:
             self.set_parameters_atomically(changed)
-
-    def _is_template(self, prefix: str) -> bool:
-        return any(template.prefix == prefix for template, _ in self._templates)
 
     # Lifecycle.
 
@@ -267,25 +252,26 @@ class DrapeNode(LifecycleNode):
         for avatar in self._settings.avatars:
             check_orientation(avatar)  # a body that comes later must not fail for it
             if avatar.discover:
-                self._templates.append((avatar, BodyDiscovery(self._settings.max_bodies)))
+                self._discoveries[avatar.prefix] = BodyDiscovery(self._settings.max_bodies)
             else:
                 stream = self._open(avatar)
-                stream.dress()
+                stream.dress(avatar)
                 stream.listen()  # not before: what is sent in the meantime would be lost without being counted
-        self._reports = Reports(self, lambda: list(self._streams.values()))
+        reports = Reports(self, lambda: list(self._streams.values()))
+        self._opened.callback(reports.close)
         if not missing_interfaces():
             from physkin_ros.node.swap_services import SwapServices
 
-            self._services_of_swaps = SwapServices(self, self._set_body, self._set_garment)
-        if self._templates:
+            services = SwapServices(self, self._set_body, self._set_garment)
+            self._opened.callback(services.close)
+        if self._discoveries:
             steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand
-            self._body_timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
+            timer = self.create_timer(0.5, self._look_for_bodies, clock=steady)
+            self._opened.callback(self.destroy_timer, timer)
 
     def _open(self, avatar: AvatarSettings) -> AvatarStream:
-        deadline_ns = round(1e9 * self._settings.deadline)
-        stream = AvatarStream(self, avatar, self._loader, self._transforms, deadline_ns=deadline_ns)
+        stream = AvatarStream(self, avatar, self._loader, self._transforms, active=self._active)
         self._streams[avatar.id] = stream
-        stream.active = self._active
         return stream
 
     def _set_active(self, active: bool) -> None:
@@ -297,23 +283,17 @@ class DrapeNode(LifecycleNode):
         self._active = False
         for stream in self._streams.values():
             stream.close()
-        self._streams, self._templates = {}, []
+        self._streams, self._discoveries = {}, {}
         self._loader.cancel()  # nobody waits for what is being loaded
-        if self._services_of_swaps is not None:
-            self._services_of_swaps.close()
-            self._services_of_swaps = None
-        if self._reports is not None:
-            self._reports.close()
-            self._reports = None
-        if self._body_timer is not None:
-            self.destroy_timer(self._body_timer)
-            self._body_timer = None
+        self._opened.close()
 
     # Bodies that come and go.
 
     def _look_for_bodies(self) -> None:
         publishers = body_publishers(self)
-        for template, discovery in self._templates:
+        for template in self._settings.avatars:
+            if (discovery := self._discoveries.get(template.prefix)) is None:
+                continue
             waiting = discovery.waiting
             came, went = discovery.look(publishers)
             for body in went:
@@ -338,36 +318,36 @@ class DrapeNode(LifecycleNode):
         if self._streams.get(stream.settings.id) is not stream:
             return  # the body has gone again
         try:
-            stream.dress()
+            stream.dress(stream.settings)
         except Exception as error:
             self._report_swap(stream, error)
 
     # Swaps.
 
     def _set_body(self, request, response):
-        def swap(stream: AvatarStream):
-            self._roots.check_body(request.body_mesh, request.body_rig)
-            loaded = stream.dress(body=(request.body_mesh, request.body_rig))
-            prefix = stream.settings.prefix
-            self._show_settings(stream, (f"{prefix}body_mesh", f"{prefix}body_rig"))
+        def swap(stream: AvatarStream) -> LoadedWear:
+            self._roots.check_body(request.body_mesh)
+            loaded = stream.dress(replace(stream.settings, body_mesh=request.body_mesh))
+            self._show_settings(stream, (f"{stream.settings.prefix}body_mesh",))
             return loaded
 
         return self._answer(request, response, swap)
 
     def _set_garment(self, request, response):
-        def swap(stream: AvatarStream):
-            names = [garment.settings.name for garment in stream.garments]
-            index = _one_of("garment", request.garment, names)
+        def swap(stream: AvatarStream) -> LoadedWear:
+            index = _one_of("garment", request.garment, [each.name for each in stream.settings.garments])
             if not request.model:
                 raise SettingsError("model must not be empty")
             self._roots.check_garment(request.model)
-            loaded = stream.dress(models={index: request.model})
-            self._show_settings(stream, (f"{stream.settings.garments[index].prefix}model",))
-            return [loaded[index]]
+            garments = list(stream.settings.garments)
+            garments[index] = replace(garments[index], model=request.model)
+            loaded = stream.dress(replace(stream.settings, garments=tuple(garments)))
+            self._show_settings(stream, (f"{garments[index].prefix}model",))
+            return loaded
 
         return self._answer(request, response, swap)
 
-    def _answer(self, request, response, swap):
+    def _answer(self, request, response, swap: Callable[[AvatarStream], LoadedWear]):
         """Run a swap on the worker and tell how it went. Runs on the services' own thread."""
         stream = None
         try:
@@ -377,10 +357,9 @@ class DrapeNode(LifecycleNode):
         except Exception as error:
             response.success, response.message = False, self._report_swap(stream, error)
             return response
-        response.success = True
-        response.message = ", ".join(f"{each.layer.name} on {each.outfit.avatar.source}" for each in loaded)
-        response.seconds = sum({id(each.outfit): each.seconds for each in loaded}.values())
-        response.cached = all(each.cached for each in loaded)
+        names = ", ".join(layer.name for layer in loaded.outfit.layers)
+        response.success, response.message = True, f"{names} on {loaded.outfit.avatar.source}"
+        response.seconds, response.cached = loaded.seconds, loaded.cached
         return response
 
     def _report_swap(self, stream: AvatarStream | None, error: Exception) -> str:
@@ -388,28 +367,15 @@ class DrapeNode(LifecycleNode):
         known = isinstance(error, (ValueError, OSError))
         reason = sentence(str(error) if known else f"{type(error).__name__}: {error}")
         if stream is not None:
-            stream.statistics.fail_swap(reason)
+            stream.statistics.count("swaps_failed", reason)
         if self.context.ok():  # else a signal has ended it
             self.get_logger().error(f"swap failed, the old one stays on: {reason}")
         return reason
 
-    def _tell_leftovers(self) -> None:
-        names = leftovers()
-        if not names:
-            return
-        if self._settings.clear_shared_memory:
-            freed = remove_shared_memory(names)
-            self.get_logger().info(f"deleted {freed / 1e6:.1f} MB that killed processes had left in /dev/shm")
-        else:
-            self.get_logger().info(
-                f"killed processes left {len(names)} Fast DDS segments in /dev/shm, harmless but for the memory; to "
-                "delete them: fastdds shm clean, or start with -p clear_shared_memory:=true"
-            )
-
 
 def _parameters_of(worn: AvatarSettings) -> dict[str, str]:
     """What the parameters say of body and garments when these are worn, by full name."""
-    values = {worn.prefix + "body_mesh": worn.body_mesh, worn.prefix + "body_rig": worn.body_rig}
+    values = {worn.prefix + "body_mesh": worn.body_mesh}
     if worn.prefix:
         return values | {garment.prefix + "model": garment.model for garment in worn.garments}
     return values | {"model": ",".join(garment.model for garment in worn.garments)}
@@ -417,18 +383,7 @@ def _parameters_of(worn: AvatarSettings) -> dict[str, str]:
 
 def _settings_for(template: AvatarSettings, body: str) -> AvatarSettings:
     """The settings of one discovered body."""
-    return replace(
-        template,
-        id=body,
-        joint_states=f"/humans/bodies/{body}/joint_states",
-        bone_rotations=f"/humans/bodies/{body}/bone_rotations",
-        joint_map=template.joint_map or ROS4HRI,
-        frame_id=f"body_{body}",
-        garments=tuple(
-            replace(garment, namespace=f"{garment.namespace}/{body}" if garment.namespace else "")
-            for garment in template.garments
-        ),
-    )
+    return replace(template, id=body, joint_map=template.joint_map or ROS4HRI, frame_id=f"body_{body}")
 
 
 def _one_of(kind: str, name: str, names: list[str]) -> int:

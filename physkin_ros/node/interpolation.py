@@ -41,9 +41,8 @@ class PoseInterpolator:
             self._count = 1
         self._shown = False
 
-    def sample(self, now_ns: int, pose: np.ndarray, gravity: np.ndarray) -> int | None:
-        """Write the pose (d,) and effective gravity (g, 3) to show now; returns its stamp [ns], None when nothing is
-        new."""
+    def sample(self, now_ns: int) -> tuple[int, np.ndarray, np.ndarray] | None:
+        """Stamp [ns], pose (d,) and effective gravity (g, 3) to show now; None when nothing is new."""
         if self._shown:
             return None
         share = 1.0
@@ -56,9 +55,9 @@ class PoseInterpolator:
         def between(kept: np.ndarray) -> np.ndarray:
             return kept[1] + (kept[1] - kept[0]) * np.float32(share - 1.0)
 
-        pose[:], gravity[:], size = map(between, (self._pose, self._gravity, self._size))
+        pose, gravity, size = map(between, (self._pose, self._gravity, self._size))
         length = np.linalg.norm(gravity, axis=1)
         opposite = length < 1e-6  # directions, half way
         gravity[opposite], length[opposite] = self._gravity[1][opposite], 1.0
         gravity *= size / length[:, None]
-        return self._stamp[1] - round((1.0 - share) * (self._stamp[1] - self._stamp[0]))
+        return self._stamp[1] - round((1.0 - share) * (self._stamp[1] - self._stamp[0])), pose, gravity

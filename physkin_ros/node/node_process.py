@@ -11,7 +11,7 @@ import warnings
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
 from rclpy.utilities import remove_ros_args
@@ -27,7 +27,6 @@ from physkin_ros.node.settings import AVATAR_SETTINGS, GARMENT_SETTINGS, NODE_SE
 
 __all__ = ["main", "spin"]
 
-EXECUTORS = {"events": EventsExecutor, "single": SingleThreadedExecutor}
 NO_PARTICIPANT = "error creating node"  # how rcl says that the middleware refused
 
 
@@ -35,7 +34,7 @@ def spin(node: DrapeNode) -> None:
     """Serve the node until its context is shut down. What a callback raises is logged, and the next one is served."""
     ok = node.context.ok  # once a message: rclpy.ok() asks for the context first
     try:
-        executor = new_executor(EXECUTORS[node.get_parameter("executor").value], node.context)
+        executor = new_executor(EventsExecutor, node.context)
     except ExternalShutdownException:  # a signal came while the node was made
         return
     executor.add_node(node)

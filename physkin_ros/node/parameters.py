@@ -11,7 +11,7 @@ from physkin_ros.node.settings import (
     NODE_SETTINGS,
     Setting,
 )
-from physkin_ros.node.settings_reading import avatar_prefixes, check_names
+from physkin_ros.node.settings_reading import avatar_prefixes
 
 __all__ = ["declare_settings"]
 
@@ -22,7 +22,6 @@ def declare_settings(node: Node) -> dict[str, Setting]:
     Returns those that may change while it runs, by full name. Raises SettingsError for an override of an unknown name.
     """
     given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    check_names(given)
     settings = dict(NODE_SETTINGS)
     for avatar, garments in avatar_prefixes(given).items():
         for garment in garments:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from time import monotonic_ns
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from physkin_ros.messages.interfaces import missing_interfaces
 from physkin_ros.messages.topics import DIAGNOSTICS, STATISTICS
 from physkin_ros.node.avatar_stream import AvatarStream
-from physkin_ros.node.diagnostics import diagnostic_status
+from physkin_ros.node.diagnostics import Health, diagnostic_status
+from physkin_ros.node.garment_stream import GarmentStream, LayerMessages
+from physkin_ros.root.gravity import EffectiveGravity
 
 __all__ = ["PERIOD", "Reports"]
 
@@ -43,48 +45,58 @@ class Reports:
 
     def _report(self) -> None:
         now, monotonic = self._node.get_clock().now(), monotonic_ns()
-        health = [(stream, *each) for stream in self._streams() for each in stream.health(monotonic)]
         report = DiagnosticArray()
         report.header.stamp = now.to_msg()
-        report.status = [self._status(*each, now.nanoseconds) for each in health]
+        figures = []
+        for stream in self._streams():
+            health, worn = stream.health(monotonic), stream.worn
+            shown = _values_of(stream, health, now.nanoseconds)
+            for index, garment in enumerate(stream.garments):
+                layer = None if worn is None else worn.garments[index]
+                figures.append((garment, layer, health))
+                report.status.append(self._status(stream, garment, layer, health, shown))
         self._diagnostics.publish(report)
         if self._statistics is not None:
             from physkin_msgs.msg import DrapeStatistics, GarmentStatistics
 
-            numbers = DrapeStatistics(header=report.header)
-            for _, worn, garment, found in health:
-                model = garment.settings.model if worn is None else worn.layer.name
-                entry = GarmentStatistics(avatar=garment.avatar_id, garment=garment.settings.name, model_name=model)
-                found.fill(entry)
-                numbers.period = found.period
-                numbers.garments.append(entry)
-            self._statistics.publish(numbers)
+            message = DrapeStatistics(header=report.header)
+            for garment, layer, health in figures:
+                names = {"avatar": garment.avatar_id, "garment": garment.settings.name}
+                message.garments.append(GarmentStatistics(**names, model_name=_model_of(garment, layer)))
+                health.fill(message.garments[-1])
+                message.period = health.period
+            self._statistics.publish(message)
 
-    def _status(self, stream: AvatarStream, worn, garment, found, now_ns: int):
-        values = found.values(now_ns)
-        well, summary = found.summary()
+    def _status(
+        self,
+        stream: AvatarStream,
+        garment: GarmentStream,
+        worn: LayerMessages | None,
+        health: Health,
+        values: dict[str, str],
+    ) -> DiagnosticStatus:
+        model, source, (well, summary) = _model_of(garment, worn), "", health.summary()
+        values = values | {"model": model}
+        if worn is None:
+            error = health.reasons.get("swaps_failed")
+            well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
+        else:
+            outfit, layer, whole = worn.outfit, worn.layer, len(worn.layer.hidden)
+            source = outfit.avatar.source
+            values |= {
+                "instruction set": outfit.instruction_set,
+                "precision": outfit.precision,
+                "fit": f"{layer.fit:g}",
+                "advice": layer.at_rest.advice or "none",
+                "cloth inside the body at rest [%]": f"{layer.at_rest.inside_percent:.1f}",
+                "layer": f"{worn.index + 1} of {len(outfit.layers)} from the skin outwards",
+                "vertices left out": f"{whole - layer.vertex_count} of {whole}",
+            }
+            if not stream.active:
+                summary = "inactive"
         topic = garment.cloud_publisher.topic_name
         if self._is_shared(topic):
             well, summary = False, f"somebody else publishes on {topic}, too; {summary}"
-        model, source = garment.settings.model, ""
-        if worn is not None:
-            outfit, layer = worn.outfit, worn.layer
-            model, source, whole = layer.name, outfit.avatar.source, len(layer.hidden)
-            values |= {"instruction set": outfit.instruction_set, "precision": outfit.precision}
-            values |= {"fit": f"{layer.fit:g}", "advice": layer.at_rest.advice or "none"}
-            values["cloth inside the body at rest [%]"] = f"{layer.at_rest.inside_percent:.1f}"
-            values["layer"] = f"{worn.index + 1} of {len(outfit.layers)} from the skin outwards"
-            values["vertices left out"] = f"{whole - layer.vertex_count} of {whole}"
-        values["model"] = model
-        felt = stream.root.effective_gravity(stream.garments.index(garment), monotonic_ns())
-        values["gravity"] = " ".join(f"{value:.3f}" for value in stream.root.direction(0))
-        values["effective gravity [m/s2]"] = "none" if felt is None else " ".join(f"{value:.2f}" for value in felt)
-        values["wind [m/s]"] = " ".join(f"{value:.2f}" for value in stream.root.frame_input.wind)
-        if worn is None:
-            error = stream.statistics.last_error
-            well, summary = False, f"nothing to drape: {error}" if error else "the garment is being loaded"
-        elif not stream.active:
-            summary = "inactive"
         return diagnostic_status(f"{self._node.get_name()}: {garment.name or model}", source, well, summary, values)
 
     def _is_shared(self, topic: str) -> bool:
@@ -97,3 +109,22 @@ class Reports:
             )
         self._shared = self._shared | {topic} if shared else self._shared - {topic}
         return shared
+
+
+def _model_of(garment: GarmentStream, worn: LayerMessages | None) -> str:
+    return garment.settings.model if worn is None else worn.layer.name
+
+
+def _values_of(stream: AvatarStream, health: Health, now_ns: int) -> dict[str, str]:
+    """What diagnostics say of an avatar, whatever the garment. now_ns: time on the stamps' clock."""
+    motion = stream.root.motion()
+    felt = _numbers(motion.vector, 2) if isinstance(motion, EffectiveGravity) else "none"
+    return health.values(now_ns) | {
+        "gravity": _numbers(stream.root.direction(0), 3),
+        "effective gravity [m/s2]": felt,
+        "wind [m/s]": _numbers(stream.root.frame_input.wind, 2),
+    }
+
+
+def _numbers(values: Iterable[float], decimals: int) -> str:
+    return " ".join(f"{value:.{decimals}f}" for value in values)

@@ -6,22 +6,21 @@ How they are read: `settings_reading.py`. Nothing here needs ROS.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from physkin_core import NORMALS, UPRIGHT_GRAVITY
+from physkin_core import UPRIGHT_GRAVITY
 from physkin_core.loader.asset_loader import LOAD_MEMORY_LIMIT, LOAD_TIMEOUT
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
 from physkin_core.sway.frame_input import LARGEST_WIND, checked_wind
 from physkin_ros.messages.conversions import gravity_direction
-from physkin_ros.root.imu_acceleration import USUAL_DELAY
 
 __all__ = [
     "AVATAR_SETTINGS",
     "GARMENT_SETTINGS",
     "NODE_SETTINGS",
-    "POSE_SOURCES",
     "AvatarSettings",
     "GarmentSettings",
     "NodeSettings",
@@ -29,10 +28,6 @@ __all__ = [
     "SettingsError",
     "check_setting",
 ]
-
-
-POSE_SOURCES = ("pose", "odometry")
-"""Values of `orientation` that are a topic of where the root is."""
 
 
 class SettingsError(ValueError):
@@ -44,7 +39,8 @@ class Setting:
     """One parameter: default, what it does, whether it may change while the node runs, and what is allowed.
 
     default: None for a number that may be left out, which ROS knows as an empty text. choices: allowed texts. low,
-    high: bounds of a number. may_be_empty: of a text.
+    high: bounds of a number. may_be_empty: of a text. vector: of three numbers, checks them by raising ValueError;
+    allowed: what it lets pass.
     """
 
     default: object
@@ -54,6 +50,8 @@ class Setting:
     low: float = -math.inf
     high: float = math.inf
     may_be_empty: bool = True
+    vector: Callable[[Any], Iterable[float]] | None = None
+    allowed: str = ""
 
     @property
     def declared(self) -> object:
@@ -80,11 +78,6 @@ class GarmentSettings:
         may_be_empty=False,
     )
     tucked: bool = _key(False, "tuck the hem into the next garment further out that is not tucked itself")
-    precision: str = _key(
-        "",
-        "of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
-        choices=("", *PRECISIONS),
-    )
     fit: float | None = _key(
         None,
         "0: one size, 1: made to measure. Empty: 1, or 0 for a model with a rig of its own, which allows no other",
@@ -92,21 +85,11 @@ class GarmentSettings:
         high=1,
     )
     sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
-    normals: str = _key(
-        "skinned",
-        "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh (2 ns a vertex). "
-        "Garments with detail nodes (all shipped ones) always use faces",
-        choices=NORMALS,
-    )
-    namespace: str = _key(
-        "", "prefix of the garment's topics. Empty: ~; in an outfit ~/NAME; with several avatars ~/ID/NAME"
-    )
     splats: str = _key(
         "",
         "PLY file of Gaussian splats that lie on this garment; they are published on ~/splats. Only if the avatar "
-        "wears a single garment, or with outfit: false",
+        "wears no other",
     )
-    publish_marker: bool = _key(False, "also publish the garment as triangles, for RViz")
 
     @property
     def file(self) -> str:
@@ -121,27 +104,20 @@ class AvatarSettings:
     prefix: str
     id: str
     garments: tuple[GarmentSettings, ...]
-    joint_states: str = _key("", "topic of sensor_msgs/JointState. Empty: joint_states")
-    bone_rotations: str = _key(
-        "",
-        "topic of sensor_msgs/MultiDOFJointState. Empty: bone_rotations",
-    )
     body_mesh: str = _key(
-        "", "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. Empty: the bundled avatar", changes=True
-    )
-    body_rig: str = _key(
         "",
-        "rig file of a body_mesh without a skin. Empty: NAME.rig.json beside it, if there is one",
+        "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. A mesh without a skin may have a rig file beside it, "
+        "NAME.rig.json. Empty: the bundled avatar",
         changes=True,
     )
     joint_map: str = _key(
         "",
         "names of joints in messages: ros4hri (REP-155), vrm, or a JSON file. Empty: the rig's own",
     )
-    missing_joints: str = _key(
-        "last",
-        "joints that a message leaves out: last keeps their position, neutral puts them back to rest",
-        choices=("last", "neutral"),
+    precision: str = _key(
+        "",
+        "of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",
+        choices=("", *PRECISIONS),
     )
     frame_id: str = _key(
         "",
@@ -152,23 +128,14 @@ class AvatarSettings:
         UPRIGHT_GRAVITY.tolist(),
         "direction of gravity in the root frame, until a message gives one",
         changes=True,
+        vector=gravity_direction,
+        allowed="three finite numbers, not all zero, such as [0.0, 0.0, -1.0]",
     )
     orientation: str = _key(
         "gravity",
-        "what says which way is down: gravity, joints (roll and pitch in the joint states) or fixed (the parameter "
-        "gravity). pose, odometry, tf and imu also say how the root moves, so that cloth sways with it",
-        choices=("gravity", *POSE_SOURCES, "imu", "joints", "tf", "fixed"),
-    )
-    orientation_topic: str = _key(
-        "",
-        "topic of the source that orientation names: gravity, pose, odometry or imu. Empty: the topic of that name",
-    )
-    orientation_joints: tuple[str, ...] = _key(
-        ["root_roll", "root_pitch"], "names of roll and pitch in the joint states, for orientation: joints"
-    )
-    effective_gravity_topic: str = _key(
-        "",
-        "topic of effective gravity. Empty: ~/effective_gravity",
+        "what says which way is down: gravity (the topic and, until a message comes, the parameter), odometry, tf or "
+        "imu. These three also say how the root moves, so that cloth sways with it",
+        choices=("gravity", "odometry", "tf", "imu"),
     )
     sway: float = _key(
         1.0,
@@ -182,22 +149,13 @@ class AvatarSettings:
         "velocity of the air in the world, at most 13 m/s, until a message on ~/wind. If the node knows only "
         "gravity, the velocity is in a level frame that faces the way the body faces",
         changes=True,
-    )
-    imu_delay: float = _key(
-        USUAL_DELAY,
-        "time [s] over which an IMU's acceleration is smoothed; cloth follows that much later. 0: no smoothing",
-        low=0,
-        high=5,
+        vector=checked_wind,
+        allowed=f"three finite numbers, a velocity of at most {LARGEST_WIND:g} m/s",
     )
     world_frame: str = _key(
         "world",
-        "frame whose Z is up, for orientation: tf, and for publish_tf if a pose names no frame",
+        "frame whose Z is up, for orientation: tf",
         may_be_empty=False,
-    )
-    publish_tf: bool = _key(
-        False,
-        "publish the messages of orientation: pose or orientation: odometry as TF to frame_id. Only if nobody else "
-        "publishes this transform",
     )
     cloud_rate: float = _key(
         0.0,
@@ -210,13 +168,6 @@ class AvatarSettings:
         False,
         "move arms and legs out of the trunk and of each other before draping",
     )
-    outfit: bool = _key(
-        True,
-        "order several garments as layers; false: drape each by itself",
-    )
-    layers: tuple[str, ...] = _key(
-        [""], "names of the garments from the skin outwards. Empty: the order in which they are given"
-    )
     hide_covered: bool = _key(
         True,
         "leave out of the clouds what outer garments cover in everyday poses",
@@ -226,6 +177,11 @@ class AvatarSettings:
         "ros4hri: dress every body on /humans/bodies/ID/joint_states, as they come and go. Empty: one body",
         choices=("", "ros4hri"),
     )
+
+    @property
+    def worn(self) -> tuple[str, ...]:
+        """What is swapped while the node runs: the body, and each garment's model."""
+        return self.body_mesh, *(garment.model for garment in self.garments)
 
     @property
     def sways(self) -> tuple[float, ...]:
@@ -238,7 +194,6 @@ class NodeSettings:
     """The node and its avatars."""
 
     avatars: tuple[AvatarSettings, ...]
-    executor: str = _key("events", "rclpy executor: events (least overhead) or single", choices=("events", "single"))
     autostart: bool = _key(True, "configure and activate at once; false: wait for lifecycle transitions")
     asset_roots: tuple[str, ...] = _key(
         [""],
@@ -257,18 +212,7 @@ class NodeSettings:
         low=64,
         high=1 << 20,
     )
-    deadline: float = _key(
-        0.0,
-        "time [s] allowed from a joint state to its last cloud; joint states that take longer are counted. 0: no limit",
-        changes=True,
-        low=0,
-        high=60,
-    )
     max_bodies: int = _key(8, "number of discovered bodies that are dressed at once; others wait", low=1, high=64)
-    clear_shared_memory: bool = _key(
-        False,
-        "at the start, delete files in /dev/shm that killed Fast DDS processes of this user left behind",
-    )
 
 
 def _settings_of(kind: type) -> dict[str, Setting]:
@@ -285,17 +229,11 @@ def check_setting(name: str, setting: Setting, value: object) -> object:
     def refuse(allowed: str) -> SettingsError:
         return SettingsError(f"parameter {name} is {value!r}; allowed: {allowed}")
 
-    if name.rsplit(".", 1)[-1] == "gravity":
+    if setting.vector is not None:
         try:
-            gravity_direction(value)
-        except ValueError as error:
-            raise SettingsError(f"parameter {name.removesuffix('gravity')}{error}") from None
-        return tuple(float(number) for number in value)
-    if name.rsplit(".", 1)[-1] == "wind":
-        try:
-            return checked_wind(value)
+            return tuple(map(float, setting.vector(value)))
         except (TypeError, ValueError):
-            raise refuse(f"three finite numbers, a velocity of at most {LARGEST_WIND:g} m/s") from None
+            raise refuse(setting.allowed) from None
     default = setting.default
     if default is None and value in (None, ""):
         return None

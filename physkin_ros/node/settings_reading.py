@@ -1,4 +1,4 @@
-"""Parameters by their full names, as settings of avatars and garments: unknown ones and what does not go together told.
+"""Parameters by their full names, as settings of avatars and garments. Unknown ones are refused.
 
 Without `avatars` the node dresses one avatar in one garment, and the parameters of both stand at the top. With
 `avatars.ID.KEY` and `avatars.ID.garments.NAME.KEY` it dresses many. Nothing here needs ROS.
@@ -13,11 +13,11 @@ from pathlib import Path
 
 from physkin_core.model.model_file import split_fabric
 from physkin_ros.joints.nearest_names import nearest_names
+from physkin_ros.messages.topics import TOPICS
 from physkin_ros.node.settings import (
     AVATAR_SETTINGS,
     GARMENT_SETTINGS,
     NODE_SETTINGS,
-    POSE_SOURCES,
     AvatarSettings,
     GarmentSettings,
     NodeSettings,
@@ -26,49 +26,42 @@ from physkin_ros.node.settings import (
     check_setting,
 )
 
-__all__ = ["avatar_prefixes", "check_names", "model_names", "read_settings"]
+__all__ = ["avatar_prefixes", "model_names", "read_settings"]
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-TOPIC = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides", "service_introspection")
 
 
-def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
-    """Prefix of each avatar's parameters -> prefixes of its garments', from the names of given parameters.
+def avatar_prefixes(given: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
+    """Prefix of each avatar's parameters -> prefixes of its garments', from given parameters by their full names.
 
-    Without any `avatars.` these are the empty prefix twice. Raises SettingsError for an unknown key below `avatars`, an
-    id that is no identifier, and an avatar without garments.
+    Without any `avatars.` these are the empty prefix twice. Raises SettingsError for a parameter that there is not,
+    naming the nearest that there is, an id that is no identifier, and an avatar without garments.
     """
-    avatars: dict[str, list[str]] = {}
-    for name in names:
-        if name != "avatars" and not name.startswith("avatars."):
-            continue
-        parts = name.split(".")
-        if len(parts) < 3:
-            raise SettingsError(
-                f"parameter {name} is {names[name]!r}; expected avatars.ID.KEY, ID being a name you choose"
-            )
-        avatar = ".".join(parts[:2]) + "."
-        garments = avatars.setdefault(avatar, [])
-        identifiers = [("avatar id", parts[1])]
-        if parts[2] != "garments":
-            key, known, where = ".".join(parts[2:]), [*AVATAR_SETTINGS, "garments"], avatar
-        elif len(parts) < 5:
-            raise SettingsError(
-                f"parameter {name} is {names[name]!r}; expected {avatar}garments.NAME.KEY, you choose NAME, "
-                f"KEY is one of {', '.join(GARMENT_SETTINGS)}"
-            )
-        else:
-            garment = ".".join(parts[:4]) + "."
-            if garment not in garments:
-                garments.append(garment)
-            identifiers.append(("garment name", parts[3]))
-            key, known, where = ".".join(parts[4:]), list(GARMENT_SETTINGS), garment
-        for kind, text in identifiers:
-            if not IDENTIFIER.fullmatch(text):
-                raise SettingsError(
-                    f"parameter {name}: {kind} {text!r}; allowed: letters, digits and _, a letter first"
+    many = any(name.startswith("avatars.") for name in given)
+    avatars: dict[str, dict[str, None]] = {}  # the garments in order
+    for name, value in given.items():
+        match name.split("."):
+            case ["avatars", identity, "garments", garment, key]:
+                where, identifiers, known = (
+                    f"avatars.{identity}.garments.{garment}.",
+                    (identity, garment),
+                    GARMENT_SETTINGS,
                 )
+                avatars.setdefault(f"avatars.{identity}.", {})[where] = None
+            case ["avatars", identity, key] if key != "garments":
+                where, identifiers, known = f"avatars.{identity}.", (identity,), AVATAR_SETTINGS
+                avatars.setdefault(where, {})
+            case ["avatars", *_]:
+                expected = "avatars.ID.KEY or avatars.ID.garments.NAME.KEY, with ID and NAME of your choice"
+                raise SettingsError(f"parameter {name} is {value!r}; expected {expected}")
+            case [first, *_]:
+                if name not in NODE_SETTINGS and first not in BUILT_IN:
+                    _check_alone(name, many)
+                continue
+        for text in identifiers:
+            if not IDENTIFIER.fullmatch(text):
+                raise SettingsError(f"parameter {name}: {text!r}; allowed: letters, digits and _, a letter first")
         if key not in known:
             raise _unknown(key, known, name, f" in {where[:-1]}")
     for avatar, garments in avatars.items():
@@ -77,24 +70,20 @@ def avatar_prefixes(names: Mapping[str, object]) -> dict[str, tuple[str, ...]]:
     return {avatar: tuple(garments) for avatar, garments in avatars.items()} or {"": ("",)}
 
 
-def check_names(names: Iterable[str]) -> None:
-    """Raises SettingsError for the first parameter that there is not, naming the nearest that there is.
-
-    names: full names, of which those below `avatars` are left to `avatar_prefixes`.
-    """
-    names = list(names)
+def _check_alone(name: str, many: bool) -> None:
+    """Raises SettingsError unless this is a parameter of a node without avatars. many: whether the node has avatars."""
     single = {*AVATAR_SETTINGS, *GARMENT_SETTINGS}
-    many = any(name.startswith("avatars.") for name in names)
-    for name in names:
-        if name in NODE_SETTINGS or name.split(".")[0] in (*BUILT_IN, "avatars") or (name in single and not many):
-            continue
-        if name in single:
-            below = "avatars.ID." if name in AVATAR_SETTINGS else "avatars.ID.garments.NAME."
-            raise SettingsError(f"parameter {name}: beside avatars it is given to each of them, as {below}{name}")
+    if name not in single:
         raise _unknown(name, [*NODE_SETTINGS, *([] if many else single), "avatars"])
+    if many:
+        below = "avatars.ID." if name in AVATAR_SETTINGS else "avatars.ID.garments.NAME."
+        raise SettingsError(f"parameter {name}: beside avatars it is given to each of them, as {below}{name}")
 
 
 def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = "") -> SettingsError:
+    if name in {topic.name for topic in TOPICS}:
+        renaming = f"--ros-args -r {name}:=/OTHER_NAME, with several avatars -r ID/{name}:=/OTHER_NAME"
+        return SettingsError(f"parameter {parameter or name}: {name} is a topic; to rename it: {renaming}")
     near = nearest_names(name, known, most=1)
     allowed = f"did you mean {near}?" if near else f"allowed{where}: {', '.join(sorted(known))}"
     return SettingsError(f"parameter {parameter or name}: unknown key {name!r}; {allowed}")
@@ -103,7 +92,7 @@ def _unknown(name: str, known: Iterable[str], parameter: str = "", where: str = 
 def read_settings(given: Mapping[str, object]) -> NodeSettings:
     """The settings that parameters give, by their full names; the others at their defaults.
 
-    Raises SettingsError naming parameter, value and what is allowed. Names: see `check_names`.
+    Raises SettingsError naming parameter, value and what is allowed.
     """
 
     def read(prefix: str, settings: Mapping[str, Setting]) -> dict[str, object]:
@@ -116,41 +105,19 @@ def read_settings(given: Mapping[str, object]) -> NodeSettings:
     for prefix, garment_prefixes in avatar_prefixes(given).items():
         values = read(prefix, AVATAR_SETTINGS)
         identity = prefix.split(".")[1] if prefix else ""
-        garments = []
-        for garment_prefix in garment_prefixes:
-            garment = read(garment_prefix, GARMENT_SETTINGS)
-            name = garment_prefix.split(".")[3] if garment_prefix else ""
-            _check_topic(f"{garment_prefix}namespace", garment["namespace"])
-            garments.append(GarmentSettings(prefix=garment_prefix, name=name, **garment))
-        for key in ("joint_states", "bone_rotations", "orientation_topic", "effective_gravity_topic"):
-            _check_topic(prefix + key, values[key])
-        if len(values["orientation_joints"]) != 2:
-            raise SettingsError(
-                f"parameter {prefix}orientation_joints is {list(values['orientation_joints'])!r}; allowed: two "
-                "names, of roll and of pitch"
-            )
-        if values["publish_tf"] and values["orientation"] not in POSE_SOURCES:
-            raise SettingsError(
-                f"parameter {prefix}publish_tf is true and {prefix}orientation {values['orientation']!r}; allowed with "
-                f"{' or '.join(POSE_SOURCES)}, which say where the root is"
-            )
+        garments = [
+            GarmentSettings(prefix=each, name=each.split(".")[3] if each else "", **read(each, GARMENT_SETTINGS))
+            for each in garment_prefixes
+        ]
+        if not prefix:
+            garments = _one_or_several(garments[0])
+        _check_layers(prefix, garments)
         for key in ("frame_id", "world_frame"):
             values[key] = values[key].lstrip("/")  # as in messages of ROS 1's time
+        values["frame_id"] = values["frame_id"] or identity or "base_link"
         if values["discover"] and not prefix:
             raise SettingsError("parameter discover is for avatars: avatars.ID.discover")
-        if prefix:
-            garments = _in_order(prefix, garments, values["layers"])
-        else:
-            garments = _one_or_several(garments[0], values["layers"])
-        if values["outfit"] and len(garments) > 1:
-            _check_outfit(prefix, garments)
-        elif tucked := [garment.prefix for garment in garments if garment.tucked]:
-            raise SettingsError(f"parameter {tucked[0]}tucked is true; allowed in an outfit of several garments")
-        values["frame_id"] = values["frame_id"] or identity or "base_link"
         avatars.append(AvatarSettings(prefix=prefix, id=identity, garments=tuple(garments), **values))
-    namespaces = [garment.namespace for avatar in avatars for garment in avatar.garments if garment.namespace]
-    if twice := sorted({name for name in namespaces if namespaces.count(name) > 1}):
-        raise SettingsError(f"namespace {twice[0]!r} is given to two garments; each needs its own")
     return NodeSettings(avatars=tuple(avatars), **read("", NODE_SETTINGS))
 
 
@@ -159,58 +126,29 @@ def model_names(model: str) -> list[str]:
     return [name.strip() for name in model.split(",")]
 
 
-def _one_or_several(garment: GarmentSettings, layers: tuple[str, ...]) -> list[GarmentSettings]:
-    """The garments of a node without avatars: one, or several, with topics named after the models it starts with."""
+def _one_or_several(garment: GarmentSettings) -> list[GarmentSettings]:
+    """The garments of a node without avatars: one, or several, named after the models it starts with."""
     models = model_names(garment.model)
-    if any(layers):
-        raise SettingsError("parameter layers is only for avatars; otherwise garments are worn in the order of model")
     if not all(models):
         raise SettingsError(f"parameter model is {garment.model!r}; allowed: models joined by commas")
     if len(models) == 1:
         return [garment]
-    if garment.splats:
-        raise SettingsError(
-            f"parameter splats is {garment.splats!r} and model names {len(models)} garments; splats lie on one: "
-            "avatars.ID.garments.NAME.splats"
-        )
-    below, names = garment.namespace or "~", []
+    names: list[str] = []
     for model in models:
         name = re.sub(r"\W", "_", Path(split_fabric(model)[0]).stem, flags=re.ASCII)
         name = name if IDENTIFIER.fullmatch(name) else f"garment_{name}"
         names.append(name if name not in names else f"{name}_{len(names) + 1}")
-    return [replace(garment, name=name, model=model, namespace=f"{below}/{name}") for name, model in zip(names, models)]
+    return [replace(garment, name=name, model=model) for name, model in zip(names, models)]
 
 
-def _in_order(prefix: str, garments: list[GarmentSettings], layers: tuple[str, ...]) -> list[GarmentSettings]:
-    """An avatar's garments from the skin outwards. Raises SettingsError where `layers` are not their names."""
-    if not any(layers):
-        return garments
-    by_name = {garment.name: garment for garment in garments}
-    if sorted(layers) != sorted(by_name):
-        raise SettingsError(f"parameter {prefix}layers is {list(layers)!r}; allowed: {', '.join(by_name)}, each once")
-    return [by_name[name] for name in layers]
-
-
-def _check_outfit(prefix: str, garments: list[GarmentSettings]) -> None:
-    """Raises SettingsError where garments cannot be computed in one pass. What can be worn, the core knows."""
-    first, *others = garments
-    if not prefix and first.tucked:
+def _check_layers(prefix: str, garments: list[GarmentSettings]) -> None:
+    """Raises SettingsError for what one garment cannot have, or one of several. What can be worn, the core knows."""
+    if len(garments) == 1 and garments[0].tucked:
+        raise SettingsError(f"parameter {garments[0].prefix}tucked is true; allowed in an outfit of several garments")
+    if len(garments) > 1 and not prefix and garments[0].tucked:
         raise SettingsError("parameter tucked is for one of several garments: avatars.ID.garments.NAME.tucked")
-    if with_splats := [garment.prefix for garment in garments if garment.splats]:
+    if len(garments) > 1 and (with_splats := [garment for garment in garments if garment.splats]):
         raise SettingsError(
-            f"parameter {with_splats[0]}splats: splats follow one garment, not the layers of an outfit; allowed with "
-            f"{prefix}outfit false"
+            f"parameter {with_splats[0].prefix}splats is {with_splats[0].splats!r}; splats lie on a garment that is "
+            f"worn alone, not on one of {len(garments)}"
         )
-    for other in others:
-        for key in ("precision", "normals"):
-            ours, theirs = getattr(first, key), getattr(other, key)
-            if ours != theirs:
-                raise SettingsError(
-                    f"parameter {other.prefix}{key} is {theirs!r} and {first.prefix}{key} {ours!r}; the garments of an "
-                    f"outfit share it, unless {prefix}outfit is false"
-                )
-
-
-def _check_topic(name: str, value: object) -> None:
-    if value and not (isinstance(value, str) and TOPIC.fullmatch(value)):
-        raise SettingsError(f"parameter {name} is {value!r}; allowed: a ROS name, such as /alice/joint_states")

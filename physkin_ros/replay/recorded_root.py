@@ -8,11 +8,7 @@ import numpy as np
 
 from physkin_core import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.motion.bag_reader import Recorded, decode
-from physkin_core.sway.frame_input import RootSample
-from physkin_ros.root.gravity import EffectiveGravity
-from physkin_ros.root.imu_acceleration import USUAL_DELAY
-from physkin_ros.root.root_orientation import RootOrientation, stamp_of
-from physkin_ros.root.root_state import RootState
+from physkin_ros.root.root_state import RootState, stamp_of
 from physkin_ros.root.transform_tree import TransformTree
 
 __all__ = ["RecordedRoot"]
@@ -36,17 +32,20 @@ class RecordedRoot:
         world_frame: str = "world",
     ) -> None:
         self.orientation, self.sway = orientation, sway
-        self._frames = frame_id, world_frame
+        self._frames, self._now_ns = (frame_id, world_frame), 0
         self.frame_input = FrameInput(1)
         self.frame_input.sway = (sway,)
-        self._state = RootState(np.array(gravity), self.frame_input)
-        self.down = self._state.direction(0)
-        root = RootOrientation(self._state.add_direction, self._move, imu_delay=USUAL_DELAY)
-        self._takers = {"gravity": root.direction, "pose": root.pose, "odometry": root.odometry, "imu": root.imu}
-        self._root, self._tree = root, TransformTree()
+        self._root = root = RootState(gravity, self.frame_input, clock=lambda: self._now_ns)
+        self.down = root.direction(0)
+        self._takers = {
+            "gravity": root.on_direction,
+            "pose": root.on_pose,
+            "odometry": root.on_odometry,
+            "imu": root.on_imu,
+        }
+        self._tree = TransformTree()
         if orientation == "tf":
             root.fault = f"no transform to {frame_id!r} has come"
-        self._now_ns = 0
 
     @property
     def fault(self) -> str:
@@ -65,15 +64,12 @@ class RecordedRoot:
             self._takers[message.kind](decode(message))
             return
         wrong = self._tree.update(decode(message).transforms, static=message.topic == "/tf_static")
-        if reasons := self._root.transforms(self._tree, wrong, *self._frames):
+        if reasons := self._root.on_transforms(self._tree, wrong, *self._frames):
             raise ValueError("; ".join(reasons))
 
     def begin_frame(self, state, time_ns: int) -> None:
         """Set the rows for a `sensor_msgs/JointState`, recorded at time_ns."""
-        stamp, stamp_ns = state.header.stamp, stamp_of(state)
-        self._state.take(stamp_ns, time_ns)
-        self._state.begin_frame(stamp.sec, stamp.nanosec)
-        self.down = self._state.direction(stamp_ns)
-
-    def _move(self, motion: RootSample | EffectiveGravity, stamp_ns: int) -> None:
-        self._state.add_motion(motion, stamp_ns, self._now_ns)
+        stamp, stamp_ns, self._now_ns = state.header.stamp, stamp_of(state), time_ns
+        self._root.take(stamp_ns)
+        self._root.begin_frame(stamp.sec, stamp.nanosec)
+        self.down = self._root.direction(stamp_ns)

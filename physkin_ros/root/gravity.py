@@ -1,11 +1,10 @@
-"""Where down is, in the body's root frame: from an orientation, an IMU or two joints; and what accelerated roots feel.
+"""Where down is, in the body's root frame: from an orientation or an IMU; and what accelerated roots feel.
 
 Quaternions are x, y, z, w and turn the root frame into an upright one (Z up), as ROS gives orientations.
 """
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +23,6 @@ __all__ = [
     "LatestByStamp",
     "gravity_from_imu",
     "gravity_from_quaternion",
-    "gravity_from_tilt",
 ]
 
 MOST_KEPT = 256
@@ -55,17 +53,6 @@ def gravity_from_imu(message) -> np.ndarray:
             f"the IMU gives no orientation (covariance -1) and measures {list(acceleration)} m/s2; one is needed"
         ) from None
     return down / np.linalg.norm(down)
-
-
-def gravity_from_tilt(roll: float, pitch: float) -> np.ndarray:
-    """Unit direction of gravity (3,) in a root turned about its X by `roll`, then about the upright Y by `pitch` [rad].
-
-    Raises OrientationError for angles that are not finite.
-    """
-    if not (math.isfinite(roll) and math.isfinite(pitch)):
-        raise OrientationError(f"roll is {roll} and pitch {pitch}; they must be finite [rad]")
-    across = math.cos(pitch)
-    return np.array([math.sin(pitch), -across * math.sin(roll), -across * math.cos(roll)])
 
 
 Kept = TypeVar("Kept")
@@ -138,8 +125,8 @@ class EffectiveGravity:
     """What an accelerated root feels, where no more is known of its motion.
 
     vector: (3,) [m/s2] in the root frame, at most three times gravity. at_rest: (3,) [m/s2] what it would be without
-    acceleration, where garments are to feel as much of the difference as they sway; None where all of it counts.
+    acceleration; garments feel as much of the difference as they sway.
     """
 
     vector: np.ndarray
-    at_rest: np.ndarray | None = None
+    at_rest: np.ndarray

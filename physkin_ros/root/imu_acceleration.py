@@ -10,11 +10,10 @@ from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GR
 from physkin_ros.root.gravity import SAME_CLOCK, EffectiveGravity, gravity_from_imu
 from physkin_ros.root.quaternions import OrientationError, inverse, quaternion_of, rotated, unit_quaternion, vector_of
 
-__all__ = ["USUAL_DELAY", "ImuAcceleration"]
+__all__ = ["ImuAcceleration"]
 
-USUAL_DELAY = 0.1
-"""[s] the node's, where it is not told another."""
-
+DELAY = 0.1
+"""[s] Time constant of the low pass, by which slow changes come late."""
 LARGEST_GAP = 500_000_000
 """[ns] After a longer pause the root is taken to have come to rest."""
 LARGEST_FORCE = 1000.0
@@ -28,11 +27,9 @@ class ImuAcceleration:
 
     The acceleration goes through a first-order low pass, in the world where the IMU knows its orientation, so that
     gravity turns with the body at once; else, gravity with it, in the IMU's own frame. Stamps count, not rates.
-    delay: [s] time constant of the low pass, by which slow changes come late.
     """
 
-    def __init__(self, *, delay: float) -> None:
-        self._delay = delay
+    def __init__(self) -> None:
         self._last_ns = 0
         self._in_world = True
         self._smooth = np.zeros(3)
@@ -62,7 +59,7 @@ class ImuAcceleration:
         if not 0 < passed <= LARGEST_GAP or in_world != self._in_world:
             self._smooth = at_rest
         else:
-            share = -math.expm1(-1e-9 * passed / self._delay) if self._delay else 1.0
+            share = -math.expm1(-1e-9 * passed / DELAY)
             self._smooth = self._smooth + share * (measured - self._smooth)
         self._last_ns, self._in_world = stamp_ns, in_world
         if in_world:

@@ -1,21 +1,15 @@
-"""TF's topics: listening to all of them, and telling where one root is."""
+"""TF's topics."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 from geometry_msgs.msg import TransformStamped
-from rclpy.qos import QoSProfile
 
-from physkin_core.file_reading import shown
 from physkin_ros.middleware.quality_of_service import FollowingSubscription
-from physkin_ros.root.quaternions import OrientationError, Quaternion, Vector, unit_quaternion
 from physkin_ros.root.transform_tree import TransformTree
 
-__all__ = ["FollowedTransforms", "RootBroadcaster", "TfListener"]
-
-DEPTH = 100
-"""As TF is published elsewhere."""
+__all__ = ["FollowedTransforms", "TfListener"]
 
 
 class TfListener:
@@ -74,40 +68,3 @@ class FollowedTransforms:
         wrong = self.tree.update(transforms, static=static)
         for on_change in tuple(self._followers):
             on_change(wrong)
-
-
-class RootBroadcaster:
-    """Publishes `frame_id`, the root, in the frame that its poses are given in, `world_frame` where they name none.
-
-    Needs `tf2_msgs`.
-    """
-
-    def __init__(self, node, *, frame_id: str, world_frame: str) -> None:
-        from tf2_msgs.msg import TFMessage
-
-        self._node, self._message = node, TFMessage
-        self._frame_id, self._world_frame = frame_id, world_frame
-        self._publisher = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=DEPTH))
-
-    def publish(self, header, place: Vector, turn: Quaternion) -> None:
-        """Tell of a pose with its header's stamp, or of now if it has none.
-
-        Raises OrientationError for a pose that is given in the root's own frame, or turned by no rotation.
-        """
-        parent = header.frame_id.lstrip("/") or self._world_frame
-        if parent == self._frame_id:
-            raise OrientationError(
-                f"the root's pose is given in frame {shown(parent)}, which is the root's own (frame_id)"
-            )
-        transform = TransformStamped(child_frame_id=self._frame_id)
-        transform.header.frame_id = parent
-        stamped = header.stamp.sec or header.stamp.nanosec
-        transform.header.stamp = header.stamp if stamped else self._node.get_clock().now().to_msg()
-        shift, rotation = transform.transform.translation, transform.transform.rotation
-        shift.x, shift.y, shift.z = place
-        rotation.x, rotation.y, rotation.z, rotation.w = unit_quaternion(turn)
-        self._publisher.publish(self._message(transforms=[transform]))
-
-    def close(self) -> None:
-        """Take the topic down."""
-        self._node.destroy_publisher(self._publisher)

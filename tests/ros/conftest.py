@@ -72,13 +72,13 @@ def domain():
         yield int(os.environ["ROS_DOMAIN_ID"])
 
 
-@pytest.fixture(scope="module")
-def start_site(domain, tmp_path_factory):
-    """Starts `physkin node --config` with these parameters, and a ROS node that listens to these garments.
+@contextmanager
+def sites(environment: dict[str, str], tmp_path_factory):
+    """Starts `physkin node --config` with given parameters, and a ROS node that listens to given garments.
 
     At the end the node must still be there, end well at SIGINT and have logged no traceback.
     """
-    sites = []
+    started = []
 
     def start(parameters: dict, garments):
         import yaml
@@ -89,22 +89,46 @@ def start_site(domain, tmp_path_factory):
         config.write_text(yaml.safe_dump({"drape_node": {"ros__parameters": parameters}}, sort_keys=False))
         command = [sys.executable, "-m", "physkin_core.cli", "node", "--config", str(config)]
         with open(log, "w") as output:
-            process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
-        sites.append(Site(domain, process, garments, log))
-        return sites[-1]
+            process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)
+        started.append(Site(int(environment["ROS_DOMAIN_ID"]), process, garments, log))
+        return started[-1]
 
-    yield start
     try:
-        for site in sites:
+        yield start
+        for site in started:
             site.process.send_signal(signal.SIGINT)
             assert site.process.wait(60) == 0, site.log.read_text()
             text = site.log.read_text()
             assert "Traceback" not in text and "nanobind" not in text
     finally:
-        for site in sites:
+        for site in started:
             site.process.kill()
             site.process.wait()
             site.close()
+
+
+@pytest.fixture(scope="module")
+def start_site(domain, tmp_path_factory):
+    """Starts a node's process, which ends with the module: see `sites`."""
+    with sites(dict(os.environ), tmp_path_factory) as start:
+        yield start
+
+
+@pytest.fixture(scope="session")
+def site_environment(domains_of_this_process):
+    """Of the node's process that modules share: a ROS domain of its own."""
+    from physkin_ros.middleware.transport import private_environment
+
+    return private_environment()
+
+
+@pytest.fixture(scope="session")
+def start_shared_site(site_environment, tmp_path_factory):
+    """The same of a process that ends with the session."""
+    with pytest.MonkeyPatch.context() as patch, sites(site_environment, tmp_path_factory) as start:
+        for name, value in site_environment.items():
+            patch.setenv(name, value)
+        yield start
 
 
 @pytest.fixture

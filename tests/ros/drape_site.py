@@ -32,6 +32,7 @@ class Partner:
         self.node = rclpy.create_node(name, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self._clients = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def until(self, done: Callable[[], object], what: str, seconds: float = 30.0) -> None:
@@ -46,6 +47,15 @@ class Partner:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind, name: str, **fields):
+        """The answer of a drape node's service."""
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, f"/drape_node/{name}")
+            self.until(self._clients[name].service_is_ready, name)
+        future = self._clients[name].call_async(kind.Request(**fields))
+        self.until(future.done, f"answer of {name}")
+        return future.result()
 
     def close(self) -> None:
         """Leave the domain."""
@@ -73,7 +83,6 @@ class Peer(Partner):
         self.frame_ids: set[str] = set()
         self.reports: list[dict[str, str]] = []
         self._gravity_publisher = self.node.create_publisher(Vector3Stamped, "gravity", 10)
-        self._felt_publisher = self.node.create_publisher(Vector3Stamped, "drape_node/effective_gravity", 10)
         self._publisher = self.node.create_publisher(JointState, "joint_states", 10)
         self._subscription = self.node.create_subscription(PointCloud2, "drape_node/garment", self._on_cloud, 100)
 
@@ -85,11 +94,10 @@ class Peer(Partner):
 
     def send_gravity(self, direction, stamp: tuple[int, int] = (0, 0)) -> None:
         """Publish the direction of gravity (3,)."""
-        self._gravity_publisher.publish(_vector(direction, stamp))
-
-    def send_effective_gravity(self, felt, stamp: tuple[int, int] = (0, 0)) -> None:
-        """Publish effective gravity (3,) [m/s2]."""
-        self._felt_publisher.publish(_vector(felt, stamp))
+        message = Vector3Stamped()
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp
+        message.vector.x, message.vector.y, message.vector.z = map(float, direction)
+        self._gravity_publisher.publish(message)
 
     def cloud(self, names, positions, stamp: tuple[int, int]) -> np.ndarray:
         """The cloud (n, 6) that a joint state is answered with."""
@@ -99,7 +107,7 @@ class Peer(Partner):
 
     def connect(self, *, gravity: bool = True, settle: float = 0.5) -> None:
         """Wait for the drape node. gravity: and for its subscription to that topic. settle: [s] longer."""
-        publishers = [self._publisher, self._felt_publisher, *([self._gravity_publisher] if gravity else [])]
+        publishers = [self._publisher, *([self._gravity_publisher] if gravity else [])]
         ready = (*(each.get_subscription_count for each in publishers), self._subscription.get_publisher_count)
         self.until(lambda: all(count() for count in ready), "drape node")
         self.spin(settle)
@@ -120,13 +128,6 @@ class Peer(Partner):
         self.frame_ids.add(message.header.frame_id)
 
 
-def _vector(numbers, stamp: tuple[int, int]) -> Vector3Stamped:
-    message = Vector3Stamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = stamp
-    message.vector.x, message.vector.y, message.vector.z = map(float, numbers)
-    return message
-
-
 class Site(Partner):
     """A drape node's process, of many garments, and a ROS node to talk to it.
 
@@ -142,7 +143,7 @@ class Site(Partner):
         super().__init__(domain, "site")
         self.process, self.log = process, log
         self.clouds, self.statuses, self.statistics, self.meshes = {}, {}, [], {}
-        self._publishers, self._clients, self.stamp = {}, {}, 0
+        self._publishers, self.stamp = {}, 0
         self.node.create_subscription(DrapeStatistics, "/drape_node/statistics", self.statistics.append, 10)
         for garment in garments:
             self.listen(garment)
@@ -184,14 +185,6 @@ class Site(Partner):
         key = garment, (self.stamp, 0)
         self.until(lambda: key in self.clouds, f"cloud {key}")
         return self.clouds[key][0]
-
-    def call(self, kind, name: str, **fields):
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, f"/drape_node/{name}")
-            self.until(self._clients[name].service_is_ready, name)
-        future = self._clients[name].call_async(kind.Request(**fields))
-        self.until(future.done, f"answer of {name}")
-        return future.result()
 
     def until(self, done: Callable[[], object], what: str, seconds: float = 60.0) -> None:
         """As of any partner; fails at once when the node has ended."""

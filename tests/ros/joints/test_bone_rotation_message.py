@@ -16,20 +16,19 @@ BENT = Rotation.from_rotvec([0, 0.5, 0]).as_quat().tolist()
 IDENTITY = [0.0, 0.0, 0.0, 1.0]
 
 
-def reader(*, keep_missing=True, **more):
-    states = JointStateReader(RIG.joint_names, RIG.rest, keep_missing=keep_missing)
+def reader(**more):
+    states = JointStateReader(RIG.joint_names, RIG.rest)
     return states, BoneRotationReader(RIG, states, **more)
 
 
-@pytest.mark.parametrize("keep_missing", [True, False])
-def test_bones_that_are_left_out(keep_missing):
-    """They keep their last positions, or go back to rest, as joints of joint states do."""
-    states, bones = reader(keep_missing=keep_missing)
+def test_bones_that_are_left_out():
+    """They keep their last positions, as joints of joint states do."""
+    states, bones = reader()
     states.positions[0] = 0.1
     out = np.empty(len(RIG.dofs), dtype=np.float32)
     bones.read(["lowerleg01.L"], [BENT], out)
     assert out[KNEE] == np.float32(0.5)
-    assert out[0] == (np.float32(0.1) if keep_missing else 0)
+    assert out[0] == np.float32(0.1)
 
 
 def test_unknown_bones_are_told_and_ignored():

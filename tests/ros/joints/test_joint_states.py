@@ -73,20 +73,13 @@ def test_joint_map_renames_and_scales():
         reader.read(["knee", "Knee_L"], [1.0, 1.0])
 
 
-def test_missing_joints_can_go_back_to_rest():
-    """With `keep_missing` off, a message says all there is to say."""
-    reader = JointStateReader(NAMES, REST, keep_missing=False)
-    reader.positions = reader.read(["knee"], [2.0])
-    np.testing.assert_array_equal(reader.read(["hip"], [1.0]), positions(1, 0.2, 0.3, 0.4))
-
-
 @pytest.mark.parametrize(("names", "length"), [(3000, 10), (2, 100_000)])
 def test_invented_names_fill_no_memory(names, length):
     """Many short ones, few long ones."""
     reader = JointStateReader(NAMES, REST)
     tracemalloc.start()
     try:
-        for k in range(60):
+        for k in range(20):
             reader.read(["hip", *(f"{k}-{n}-".ljust(length, "x") for n in range(names))], [0.0] * (names + 1))
         held, _ = tracemalloc.get_traced_memory()
     finally:

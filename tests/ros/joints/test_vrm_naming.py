@@ -31,7 +31,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def reader(rig) -> JointStateReader:
-    return JointStateReader(rig.joint_names, rig.rest, naming=VrmNaming(rig), keep_missing=False)
+    return JointStateReader(rig.joint_names, rig.rest, naming=VrmNaming(rig))
 
 
 def direction(rig, positions, start: str, end: str) -> np.ndarray:

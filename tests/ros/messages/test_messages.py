@@ -1,4 +1,4 @@
-"""Our own messages, between two processes."""
+"""Our own messages, and readers that skin by them."""
 
 from __future__ import annotations
 
@@ -39,31 +39,38 @@ def detailed(detailed_model):
     return lambda **options: Draper(detailed_model, avatar, **options)
 
 
-def test_mesh_and_garment_nodes(start, peer, garment_model, model_path):
-    """The mesh reaches a reader that comes late; garment nodes come with the stamp of their cloud, and skin to it."""
-    draper = Draper(garment_model, load_avatar(BUNDLED_AVATAR, garment_model.rig))
-    start("physkin_ros", "--ros-args", "-p", f"model:={model_path}")
-    peer.connect()
+def test_mesh_and_garment_nodes(running_node, peer, detailed, detailed_model, tmp_path):
+    """The mesh reaches a reader that comes late; garment nodes come with the stamp of their cloud, and skin to it, in a
+    precision that is not the reader's own."""
+    path = tmp_path / "detailed.safetensors"
+    save_garment_model(detailed_model, path)
+    draper = detailed(precision="fp32")
     meshes, frames, skinned = [], [], []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    peer.node.create_subscription(messages.GarmentMesh, "drape_node/mesh", meshes.append, latched)
-    peer.node.create_subscription(messages.GarmentNodes, "drape_node/garment_nodes", frames.append, 10)
-    client = GarmentClient(peer.node, lambda frame: skinned.append((frame.header, frame.points.copy(), frame.faces)))
-    peer.until(lambda: meshes, "mesh")
-    peer.spin(0.5)
+    garment, rig = detailed_model.garment, detailed_model.rig
+    positions = np.full(len(rig.joint_names), 0.05, dtype=np.float32)
+    with running_node({"model": str(path), "precision": "fp32"}):
+        subscriptions = [
+            peer.node.create_subscription(messages.GarmentMesh, "drape_node/mesh", meshes.append, latched),
+            peer.node.create_subscription(messages.GarmentNodes, "drape_node/garment_nodes", frames.append, 10),
+        ]
+        client = GarmentClient(
+            peer.node, lambda frame: skinned.append((frame.header, frame.points.copy(), frame.faces))
+        )
+        peer.until(lambda: meshes and client._skin is not None, "mesh")
+        peer.spin(0.5)
+        cloud = peer.cloud(rig.joint_names, positions, (5, 6))
+        peer.until(lambda: frames and skinned, "garment nodes")
+        for subscription in (*subscriptions, *client._subscriptions):
+            peer.node.destroy_subscription(subscription)
 
     (mesh,) = meshes
-    garment, rig = garment_model.garment, garment_model.rig
-    assert (mesh.model_name, mesh.avatar, mesh.revision, mesh.header.frame_id) == ("vest", "", 1, "base_link")
-    assert (mesh.vertex_count, mesh.node_count) == (len(garment.vertices), len(garment_model.node_rest))
+    assert (mesh.model_name, mesh.avatar, mesh.revision, mesh.header.frame_id) == ("detailed", "", 1, "base_link")
+    assert (mesh.vertex_count, mesh.node_count) == (len(garment.vertices), len(detailed_model.node_rest))
     assert tuple(mesh.joint_names) == rig.joint_names
     np.testing.assert_array_equal(np.reshape(mesh.faces, (-1, 3)), garment.faces)
     np.testing.assert_allclose(np.reshape(mesh.rest_vertices, (-1, 3)), draper.rest_garment.vertices, atol=1e-6)
     np.testing.assert_allclose(mesh.joint_rest, rig.rest, atol=1e-6)
-
-    positions = np.full(len(rig.joint_names), 0.05, dtype=np.float32)
-    cloud = peer.cloud(rig.joint_names, positions, (5, 6))
-    peer.until(lambda: frames and skinned, "garment nodes")
     assert (frames[0].header.stamp.sec, frames[0].header.stamp.nanosec) == (5, 6) and frames[0].revision == 1
     draper.drape(positions)
     np.testing.assert_allclose(np.reshape(frames[0].transforms, (-1, 3, 4)), draper.node_transforms(), atol=1e-6)
@@ -118,23 +125,6 @@ def test_detail_travels(precision, detailed, published):
     assert 0 < apart.max() < 1e-3
     frame.features = [0.0] * 7
     assert np.linalg.norm((GarmentSkin(mesh).skin(frame) - cloud)[:, :3], axis=1).mean() > 0.01
-
-
-def test_detail_reaches_a_reader_of_the_node(start, peer, detailed_model, tmp_path):
-    """From another process, with a precision that is not the reader's own."""
-    path = tmp_path / "detailed.safetensors"
-    save_garment_model(detailed_model, path)
-    start("physkin_ros", "--ros-args", "-p", f"model:={path}", "-p", "precision:=fp32")
-    peer.connect()
-    skinned = []
-    client = GarmentClient(peer.node, lambda frame: skinned.append((frame.header.stamp.sec, frame.points.copy())))
-    peer.until(lambda: client._skin is not None, "mesh")
-    peer.spin(0.5)
-    positions = np.full(len(detailed_model.rig.joint_names), 0.1, dtype=np.float32)
-    cloud = peer.cloud(detailed_model.rig.joint_names, positions, (7, 8))
-    peer.until(lambda: skinned, "garment nodes")
-    np.testing.assert_array_equal(skinned[0][1], cloud)
-    assert (skinned[0][0], client.skipped) == (7, 0)
 
 
 def test_detail_that_does_not_fit_is_refused(detailed):

@@ -52,11 +52,11 @@ def test_rclpy_that_is_too_old(monkeypatch):
     assert "older than 7.1.4" in doctor._participant().found and doctor._participant().state == "broken"
 
 
-@pytest.mark.parametrize("package", ["physkin_msgs", "tf2_msgs"])
-def test_messages_that_are_missing(monkeypatch, package):
+@pytest.mark.parametrize("module", ["physkin_msgs.srv", "tf2_msgs.msg"])
+def test_messages_that_are_missing(monkeypatch, module):
     """They cost topics, not clouds: absent, with the command that installs them."""
-    monkeypatch.setitem(sys.modules, f"{package}.msg", None)
-    finding = found()[package]
+    monkeypatch.setitem(sys.modules, module, None)
+    finding = found()[module.partition(".")[0]]
     assert (finding.state, "is not installed" in finding.found) == ("note", True)
     assert "build.py --install" in finding.remedy
 

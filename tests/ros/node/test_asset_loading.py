@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from avatar_settings import garment_settings
+from avatar_settings import avatar_settings, garment_settings
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, with_fabric
 from physkin_ros.node import asset_loading
 from physkin_ros.node.asset_loading import AssetError, AssetRoots
 
 
-def load(loader, garments, body="", *, hide_covered=True):
+def load(loader, *garments, hide_covered=True):
     """What a loader makes of models or garments' settings."""
-    garments = [garment_settings(model=each) if isinstance(each, str) else each for each in garments]
-    return loader.load(garments, str(body), "", hide_covered=hide_covered)
+    settings = (garment_settings(model=each) if isinstance(each, str) else each for each in garments)
+    return loader.load(avatar_settings(garments=tuple(settings), hide_covered=hide_covered))
 
 
 def test_only_below_the_roots(tmp_path):
@@ -29,10 +27,10 @@ def test_only_below_the_roots(tmp_path):
     roots = AssetRoots([str(inside)], [str(outside / "body.glb")])
     roots.check_garment("tshirt")
     roots.check_garment("tshirt:denim")
-    roots.check_body("", "")
-    roots.check_body(str(BUNDLED_AVATAR), str(inside / "body.glb"))
+    for allowed in ("", str(BUNDLED_AVATAR), str(inside / "body.glb")):
+        roots.check_body(allowed)
     for path in (outside / "body.glb", inside / "link.glb", inside / ".." / "outside" / "body.glb", tmp_path):
-        for check in (roots.check_body, roots.check_garment, lambda rig: roots.check_body("", rig)):
+        for check in (roots.check_body, roots.check_garment):
             with pytest.raises(AssetError, match=f"outside the parameter asset_roots; allowed: {inside}"):
                 check(str(path))
     with pytest.raises(AssetError, match="no such file"):
@@ -66,8 +64,7 @@ def test_shipped_names_win_over_the_working_folder(outfit_loader, tmp_path, mode
         (tmp_path / name).write_bytes(model_path.read_bytes())
     roots = AssetRoots([str(model_path.parent)], [])
     roots.check_garment("tshirt")
-    (loaded,) = load(outfit_loader, ["tshirt"])
-    assert loaded.layer.name == "tshirt"
+    assert load(outfit_loader, "tshirt").outfit.layers[0].name == "tshirt"
     for name in ("kilt", "kilt.safetensors", "./tshirt"):
         with pytest.raises(AssetError, match=name):
             roots.check_garment(name)
@@ -75,33 +72,23 @@ def test_shipped_names_win_over_the_working_folder(outfit_loader, tmp_path, mode
 
 def test_fits_and_fabrics_are_kept_apart(outfit_loader, model_path):
     """Made to measure is the default, and known as fit 1; one size is another binding, as is another cloth."""
-    loads = [load(outfit_loader, [garment_settings(model=str(model_path), fit=fit)])[0] for fit in (None, 1.0, 0.0)]
-    assert loads[1].cached and [each.layer.fit for each in loads] == [1.0, 1.0, 0.0]
-    first, again, one_size = (each.layer.rest_garment.vertices for each in loads)
+    loads = [load(outfit_loader, garment_settings(model=str(model_path), fit=fit)) for fit in (None, 1.0, 0.0)]
+    layers = [each.outfit.layers[0] for each in loads]
+    assert loads[1].cached and [each.fit for each in layers] == [1.0, 1.0, 0.0]
+    first, again, one_size = (each.rest_garment.vertices for each in layers)
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - one_size).max() > 1e-3
-    (denim,) = load(outfit_loader, [f"{model_path}:denim"])
-    rest = denim.outfit.rig.rest
-    wanted = Draper(with_fabric(load_garment_model(model_path), "denim"), load_avatar(BUNDLED_AVATAR, denim.outfit.rig))
-    np.testing.assert_array_equal(denim.outfit.drape(rest)[0], wanted.drape(rest))
+    denim = load(outfit_loader, f"{model_path}:denim").outfit
+    wanted = Draper(with_fabric(load_garment_model(model_path), "denim"), load_avatar(BUNDLED_AVATAR, denim.rig))
+    np.testing.assert_array_equal(denim.drape(denim.rig.rest)[0], wanted.drape(denim.rig.rest))
 
 
-def test_outfits_are_kept_and_shared_by_twins(outfit_loader):
-    """What is known is put on at once, with frames of its own; order, tucks and what is hidden make another one."""
-    shirt = garment_settings(model="tshirt")
-    first, again = (load(outfit_loader, ["trousers", shirt]) for _ in range(2))
-    assert all(each.cached for each in again)
-    assert first[0].outfit is first[1].outfit is not again[0].outfit
-    assert again[1].layer is first[1].layer
-    assert [each.layer.name for each in first] == ["trousers", "tshirt"] and [each.index for each in first] == [0, 1]
-    for others, hide_covered in ((["trousers", shirt], False), ([replace(shirt, tucked=True), "trousers"], True)):
-        (other, *_) = load(outfit_loader, others, hide_covered=hide_covered)
-        assert other.layer is not first[other.layer.name == "tshirt"].layer
-    with pytest.raises(ValueError, match="'trousers' is there 2 times"):
-        load(outfit_loader, ["trousers", "trousers"])
-
-
-def test_a_garment_alone_is_not_tucked(outfit_loader):
-    """There is nothing to tuck it into."""
-    (alone,) = load(outfit_loader, [garment_settings(model="tshirt", tucked=True)])
-    assert not alone.layer.tucked
+def test_outfits_are_kept_and_shared_by_twins(outfit_loader, model_path, swaying_model_path):
+    """What is known is put on at once, with frames of its own."""
+    vest, swaying = str(model_path), str(swaying_model_path)
+    first, again = (load(outfit_loader, vest, swaying, hide_covered=False) for _ in range(2))
+    assert again.cached and first.outfit is not again.outfit
+    assert again.outfit.layers[1] is first.outfit.layers[1]
+    assert [each.name for each in first.outfit.layers] == ["vest", "swaying"]
+    with pytest.raises(ValueError, match="'vest' is there 2 times"):
+        load(outfit_loader, vest, vest)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import struct
@@ -32,20 +31,11 @@ TOPIC = "/alice/joint_states"
 
 
 @pytest.fixture(scope="module")
-def bodies(tmp_path_factory):
-    """The folder that bodies may come from."""
-    return tmp_path_factory.mktemp("site") / "bodies"
-
-
-@pytest.fixture(scope="module")
-def site(start_site, bodies, model_path):
-    """A node with one avatar; at the end it must still be there, end well and have logged no traceback."""
-    bodies.mkdir()
-    avatars = {"alice": {"garments": {"top": {"model": str(model_path)}}}}
-    site = start_site({"asset_roots": [str(bodies)], "avatars": avatars}, [TOP])
-    site.publisher(TOPIC)
-    site.until(lambda: TOP in site.statuses, "diagnostics")
-    return site
+def bodies(other_body):
+    """A folder that bodies may come from."""
+    folder = other_body.parent / "hostile"
+    folder.mkdir()
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -153,15 +143,11 @@ def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
 
 
 def test_hostile_body_files(site, drapes, bodies):
-    """Sizes that are not there, indices out of range, buffers elsewhere: refused, reported; the old body goes on."""
+    """Sizes that are not there, files elsewhere: refused, reported; the old body goes on. More of them: tests/core."""
     bundled = BUNDLED_AVATAR.read_bytes()
-    secret = bodies.parent / "secret.bin"
-    secret.write_bytes(bundled)
-    (bodies / "link.bin").symlink_to(secret)
+    (bodies.parent.parent / "secret.bin").write_bytes(bundled)
     with open(bodies / "sparse.glb", "wb") as file:
         file.write(struct.pack("<4sII", b"glTF", 2, 2**31 - 1))
-        file.truncate(2**31)
-    with open(bodies / "sparse.bin", "wb") as file:
         file.truncate(2**31)
     (bodies / "huge.ply").write_text(
         "ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nproperty float y\n"
@@ -169,74 +155,27 @@ def test_hostile_body_files(site, drapes, bodies):
     )
     (bodies / "cut.glb").write_bytes(bundled[:5000])
     (bodies / "binary.stl").write_bytes(b"\0" * 80 + struct.pack("<I", 2**31))
-    (bodies / "index.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999\n")
+    document, rest = glb_parts(bundled)
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    document["accessors"][attributes["POSITION"]].update(count=2**31)
+    (bodies / "count.glb").write_bytes(glb_joined(document, rest))
+    document["buffers"][0]["uri"] = "../../secret.bin"
+    (bodies / "outside.gltf").write_text(json.dumps(document))
     before = resident(site)
-    for name, change, reason in (
-        (
-            "faces.glb",
-            lambda document: accessor(document, "indices").update(byteOffset=2**31),
-            "bytes of bufferViews[3], which has 164520",
-        ),
-        (
-            "count.glb",
-            lambda document: accessor(document, "POSITION").update(count=2**31),
-            "accessors[0] of 2147483648 elements",
-        ),
-        ("view.glb", lambda document: accessor(document, "POSITION").update(bufferView=-5), "bufferView is -5"),
-        (
-            "none.glb",
-            lambda document: accessor(document, "JOINTS_0").update(bufferView=10**9),
-            "bufferViews[1000000000]",
-        ),
-        ("empty.glb", nothing_but_a_count, "2147483647 elements without data"),
-        ("outside.gltf", lambda document: buffer(document, "../secret.bin"), "outside the folder that it is in"),
-        ("coded.gltf", lambda document: buffer(document, "%2e%2e/secret.bin"), "outside the folder that it is in"),
-        ("absolute.gltf", lambda document: buffer(document, str(secret)), "outside the folder that it is in"),
-        ("linked.gltf", lambda document: buffer(document, "link.bin"), "outside the folder that it is in"),
-        ("remote.gltf", lambda document: buffer(document, "http://127.0.0.1/a.bin"), "only files beside it are read"),
-        ("sparse.gltf", lambda document: buffer(document, "sparse.bin", 2**31), "has 2147483648 bytes"),
-        ("sparse.glb", None, "has 2147483648 bytes; at most"),
-        ("huge.ply", None, "huge.ply"),
-        ("index.obj", None, "index.obj"),
-        ("cut.glb", None, "cut.glb"),
-        ("binary.stl", None, "binary.stl"),
-        ("short.glb", lambda document: accessor(document, "POSITION").update(count=7), "short.glb"),
-        ("x" * 5000 + ".glb", None, "File name too long"),
+    for name, reason in (
+        ("count.glb", "accessors[0] of 2147483648 elements"),
+        ("outside.gltf", "outside the folder that it is in"),
+        ("sparse.glb", "has 2147483648 bytes; at most"),
+        ("huge.ply", "huge.ply"),
+        ("cut.glb", "cut.glb"),
+        ("binary.stl", "binary.stl"),
+        ("x" * 5000 + ".glb", "File name too long"),
     ):
-        path = bodies / name
-        if change is not None:
-            document, rest = glb_parts(bundled)
-            change(document)
-            path.write_bytes(json.dumps(document).encode() if path.suffix == ".gltf" else glb_joined(document, rest))
-        answer = site.call(SetBody, "set_body", avatar="alice", body_mesh=str(path))
+        answer = site.call(SetBody, "set_body", avatar="alice", body_mesh=str(bodies / name))
         assert not answer.success and reason in answer.message, (name, answer.message)
         drapes()
     reported(site, "last error", "File name too long")
     assert resident(site) - before < 200e6
-    embedded = base64.b64encode(glb_parts(bundled)[1][8:]).decode()
-    document, _ = glb_parts(bundled)
-    buffer(document, f"data:application/octet-stream;base64,{embedded}")
-    (bodies / "good.gltf").write_text(json.dumps(document))
-    answer = site.call(SetBody, "set_body", avatar="alice", body_mesh=str(bodies / "good.gltf"))
-    assert answer.success, answer.message
-    drapes()
-
-
-def accessor(document: dict, name: str) -> dict:
-    primitive = document["meshes"][0]["primitives"][0]
-    return document["accessors"][primitive["indices"] if name == "indices" else primitive["attributes"][name]]
-
-
-def nothing_but_a_count(document: dict) -> None:
-    positions = accessor(document, "POSITION")
-    del positions["bufferView"]
-    positions["count"] = 2**31 - 1
-
-
-def buffer(document: dict, uri: str, length: int | None = None) -> None:
-    document["buffers"][0]["uri"] = uri
-    if length is not None:
-        document["buffers"][0]["byteLength"] = length
 
 
 def resident(site) -> int:

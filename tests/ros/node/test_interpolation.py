@@ -20,8 +20,8 @@ def poses():
 
 
 def sample(poses, now):
-    pose, gravity = (np.empty(size, dtype=np.float32) for size in (2, (1, 3)))
-    return poses.sample(now, pose, gravity), pose, gravity[0]
+    stamp, pose, gravity = poses.sample(now)
+    return stamp, pose, gravity[0]
 
 
 def test_between_two(poses):
@@ -34,7 +34,7 @@ def test_between_two(poses):
         np.testing.assert_allclose(pose, [4 * share, -8 * share], atol=1e-6)
         assert np.linalg.norm(gravity) == pytest.approx(2 - share)
         np.testing.assert_allclose(gravity[0] * (1 - share), gravity[2] * share, atol=1e-6)
-    assert sample(poses, 201 * MS)[0] is None
+    assert poses.sample(201 * MS) is None
 
 
 def test_after_a_gap_it_starts_anew(poses):

@@ -11,8 +11,7 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from geometry_msgs.msg import PoseStamped  # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
@@ -21,73 +20,41 @@ pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/
 from drape_site import text_parameter  # noqa: E402
 from physkin_msgs.srv import SetBody, SetGarment  # noqa: E402
 
-TOP, LEGS, BOB = "alice/top", "alice/legs", "bob/top"
-
-
-@pytest.fixture(scope="module")
-def site(start_site, model_path, leaning_model_path, other_body):
-    parameters = {
-        "asset_roots": [str(other_body.parent), str(model_path.parent)],
-        "deadline": 0.5,
-        "max_bodies": 2,
-        "avatars": {
-            "alice": {
-                "outfit": False,  # the same garment twice, draped otherwise
-                "garments": {"top": {"model": str(model_path)}, "legs": {"model": str(leaning_model_path)}},
-            },
-            "bob": {
-                "orientation": "pose",
-                "frame_id": "bobs_root",
-                "missing_joints": "neutral",
-                "garments": {"top": {"model": str(leaning_model_path)}},
-            },
-            "guests": {"discover": "ros4hri", "garments": {"top": {"model": str(model_path)}}},
-        },
-    }
-    site = start_site(parameters, (TOP, LEGS, BOB))
-    site.publisher("/alice/joint_states")
-    site.until(lambda: TOP in site.statuses, "diagnostics")
-    return site
+TOP, BOB = "alice/top", "bob/top"
 
 
 @pytest.fixture(scope="module")
 def drapers(garment_model, leaning_model_path):
     avatar = load_avatar(BUNDLED_AVATAR, garment_model.rig)
     leaning_model = load_garment_model(leaning_model_path)
-    return {TOP: Draper(garment_model, avatar), LEGS: Draper(leaning_model, avatar), BOB: Draper(leaning_model, avatar)}
+    return {TOP: Draper(garment_model, avatar), BOB: Draper(leaning_model, avatar)}
 
 
-def test_each_garment_has_its_stream(site, drapers, garment_model):
-    """One joint state, a cloud of every garment of its avatar and of no other's, equal to the core's."""
+def test_each_avatar_has_its_stream(site, drapers, garment_model):
+    """A joint state is answered by a cloud of its avatar and of no other, equal to the core's."""
     rig = garment_model.rig
     pose = np.random.default_rng(1).uniform(rig.lower, rig.upper).astype(np.float32)
-    top = site.cloud(TOP, rig.joint_names, pose)
-    key = LEGS, (site.stamp, 0)
-    site.until(lambda: key in site.clouds, "cloud of the other garment")
-    np.testing.assert_array_equal(top, drapers[TOP].drape(pose))
-    np.testing.assert_allclose(site.clouds[key][0], drapers[LEGS].drape(pose), atol=1e-5)
-    assert site.clouds[key][1] == "alice" and (BOB, (site.stamp, 0)) not in site.clouds
+    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, pose), drapers[TOP].drape(pose))
+    assert site.clouds[TOP, (site.stamp, 0)][1] == "alice" and (BOB, (site.stamp, 0)) not in site.clouds
 
 
-def test_gravity_from_a_pose(site, drapers, garment_model):
-    """The root's orientation tilts gravity; joints that are not named are neutral again; bad poses change nothing."""
+def test_gravity_by_odometry(site, drapers, garment_model):
+    """The root's orientation tilts gravity; bad poses change nothing."""
     rig = garment_model.rig
-    pose = PoseStamped()
-    turn = pose.pose.orientation
+    odometry = Odometry()
+    turn = odometry.pose.pose.orientation
     turn.x, turn.y, turn.z, turn.w = 0.0, 0.6, 0.0, 0.8
-    poses = site.publisher("/bob/pose", PoseStamped)
-    poses.publish(pose)
+    publisher = site.publisher("/bob/odometry", Odometry)
+    publisher.publish(odometry)
     site.spin(0.2)
-    site.cloud(BOB, rig.joint_names[:2], rig.rest[:2] + 0.2)
-    cloud = site.cloud(BOB, rig.joint_names[3:4], rig.rest[3:4] + 0.1)
-    expected = rig.rest.astype(np.float32)
-    expected[3] = rig.rest[3] + 0.1
-    np.testing.assert_allclose(cloud, drapers[BOB].drape(expected, np.array([0.96, 0, -0.28])), atol=1e-5)
+    rest = rig.rest.astype(np.float32)
+    cloud = site.cloud(BOB, rig.joint_names, rest)
+    np.testing.assert_allclose(cloud, drapers[BOB].drape(rest, np.array([0.96, 0, -0.28])), atol=1e-5)
     assert site.clouds[BOB, (site.stamp, 0)][1] == "bobs_root"
     turn.w = 7.0
-    poses.publish(pose)
+    publisher.publish(odometry)
     site.until(lambda: "unit quaternion" in site.statuses.get(BOB, {}).get("last rejection", ""), "diagnostics")
-    np.testing.assert_array_equal(site.cloud(BOB, rig.joint_names[3:4], rig.rest[3:4] + 0.1), cloud)
+    np.testing.assert_array_equal(site.cloud(BOB, rig.joint_names[3:4], rest[3:4]), cloud)
 
 
 def test_bodies_come_and_go(site, drapers, garment_model):
@@ -105,7 +72,7 @@ def test_bodies_come_and_go(site, drapers, garment_model):
     np.testing.assert_array_equal(cloud, drapers[TOP].drape(expected))
     assert site.clouds["zoe/top", (site.stamp, 0)][1] == "body_zoe"
     others = [
-        site.node.create_publisher(JointState, f"/humans/bodies/{body}/joint_states", 10) for body in ("ann", "eve")
+        site.node.create_publisher(JointState, f"/humans/bodies/{body}/joint_states", 10) for body in ("dan", "eve")
     ]
     site.until(lambda: others[0].get_subscription_count(), "the second body")
     site.spin(1.5)
@@ -126,7 +93,8 @@ def test_body_swap_loses_no_cloud(site, drapers, garment_model, other_body):
     avatar = load_avatar(other_body, rig)
     expected = {False: drapers[TOP].drape(rest).copy(), True: Draper(garment_model, avatar).drape(rest)}
     assert np.abs(expected[True] - expected[False]).max() > 0.01
-    before = site.stamp + 1
+    site.until(lambda: TOP in site.meshes, "mesh")
+    before, revision = site.stamp + 1, site.meshes[TOP].revision
     publisher = site.publisher("/alice/joint_states")
     client = site.node.create_client(SetBody, "/drape_node/set_body")
     site.until(client.service_is_ready, "service")
@@ -139,7 +107,7 @@ def test_body_swap_loses_no_cloud(site, drapers, garment_model, other_body):
             site.executor.spin_once(timeout_sec=0.001)
         after_done += future.done()
     answer = future.result()
-    assert answer.success and not answer.cached and 0 < answer.seconds < 10, answer.message
+    assert answer.success and answer.seconds > 0, answer.message
     stamps = [(stamp, 0) for stamp in range(before, site.stamp + 1)]
     site.until(lambda: all((TOP, stamp) in site.clouds for stamp in stamps), "clouds during the swap")
     worn = []
@@ -148,7 +116,7 @@ def test_body_swap_loses_no_cloud(site, drapers, garment_model, other_body):
         assert sum(equal) == 1
         worn.append(equal[1])
     assert worn == sorted(worn) and not worn[0] and worn[-1]
-    assert site.meshes[TOP].revision == 2  # the rest shape follows the body
+    assert site.meshes[TOP].revision == revision + 1  # the rest shape follows the body
 
     assert site.call(SetBody, "set_body", avatar="alice").success
     np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), expected[False])
@@ -191,7 +159,7 @@ def test_swaps_that_fail_leave_the_old(site, drapers, garment_model, other_body,
         (SetBody, {"avatar": "alice", "body_mesh": str(other_body.parent / "link.obj")}, "outside the parameter"),
         (SetBody, {"avatar": "alice", "body_mesh": str(other_body.parent)}, "no such file"),
         (SetBody, {"avatar": "carol"}, "no avatar 'carol'; allowed: 'alice', 'bob'"),
-        (SetGarment, {"avatar": "alice", "model": "tshirt"}, "no garment ''; allowed: '"),
+        (SetGarment, {"avatar": "ann", "model": "tshirt"}, "no garment ''; allowed: '"),
         (SetGarment, worn, "model must not be empty"),
         (SetGarment, worn | {"model": "nosuch"}, "'nosuch'"),
         (SetGarment, worn | {"model": "tshirt:velvet"}, "unknown fabric 'velvet'; allowed: jersey"),
@@ -218,7 +186,7 @@ def test_parameters_are_validated(site, other_body):
         ("avatars.alice.garments.top.model", "", "must not be empty"),
         ("avatars.alice.garments.top.model", "tshirt:velvet", "unknown fabric 'velvet'; allowed: jersey"),
         ("avatars.alice.frame_id", "torso", "read-only"),
-        ("deadline", "soon", "parameter deadline is 'soon'; allowed: a number from 0 to 60"),
+        ("avatars.alice.sway", "much", "parameter avatars.alice.sway is 'much'; allowed: a number from 0 to 1"),
     ):
         (result,) = site.call(SetParameters, "set_parameters", parameters=[text_parameter(name, value)]).results
         assert not result.successful and reason in result.reason.replace("read only", "read-only"), result.reason
@@ -228,12 +196,12 @@ def test_parameters_are_validated(site, other_body):
     assert result.successful
     value = lambda: site.call(GetParameters, "get_parameters", names=[name]).values[0].string_value  # noqa: E731
     site.until(lambda: value() == "", "parameter to go back")
-    names = ["avatars.alice.joint_map", "deadline", "max_bodies", "avatars.bob.orientation"]
+    names = ["avatars.alice.joint_map", "avatars.alice.sway", "max_bodies", "avatars.bob.orientation"]
     described = site.call(DescribeParameters, "describe_parameters", names=names).descriptors
     assert all(each.description for each in described)
     assert [each.read_only for each in described] == [True, False, True, True]
-    assert described[1].floating_point_range[0].to_value == 60 and described[2].integer_range[0].from_value == 1
-    assert "pose" in described[3].additional_constraints
+    assert described[1].floating_point_range[0].to_value == 1 and described[2].integer_range[0].from_value == 1
+    assert "odometry" in described[3].additional_constraints
 
 
 def test_statistics(site, garment_model):
@@ -244,37 +212,7 @@ def test_statistics(site, garment_model):
         site.cloud(BOB, rig.joint_names, rig.rest)
     site.until(lambda: len(site.statistics) >= 2, "statistics")
     entries = {(entry.avatar, entry.garment): entry for entry in site.statistics[-1].garments}
-    assert {("alice", "top"), ("alice", "legs"), ("bob", "top")} <= entries.keys()
+    assert {("alice", "top"), ("ann", "zlegs"), ("bob", "top")} <= entries.keys()
     assert entries["bob", "top"].published >= 20 and entries["bob", "top"].model_name == "vest"
     rates = [entry.published_rate for message in site.statistics for entry in message.garments if entry.avatar == "bob"]
     assert max(rates) > 1
-
-
-def test_lifecycle(site, drapers, garment_model):
-    """Deactivated it answers nothing, cleaned up it has no topics, and a transition that is none does no harm."""
-    rig = garment_model.rig
-    state = lambda: site.call(GetState, "get_state").current_state.label  # noqa: E731
-
-    def change(label: str) -> bool:
-        request = ChangeState.Request()
-        request.transition.label = label
-        return site.call(ChangeState, "change_state", transition=request.transition).success
-
-    assert state() == "active"
-    assert change("deactivate") and state() == "inactive"
-    message = site.state(rig.joint_names, rig.rest)
-    site.publisher("/alice/joint_states").publish(message)
-    site.spin(0.5)
-    assert (TOP, (message.header.stamp.sec, 0)) not in site.clouds
-    assert not change("dance")
-    request = ChangeState.Request()
-    request.transition.id = 97
-    site.node.create_client(ChangeState, "/drape_node/change_state").call_async(request)
-    site.spin(0.3)
-    assert change("cleanup") and state() == "unconfigured"
-    site.until(lambda: not site.node.count_publishers("/drape_node/alice/top/garment"), "end of the topics")
-    assert change("configure") and change("activate") and state() == "active"
-    site.until(site.publisher("/alice/joint_states").get_subscription_count, "subscription again")
-    site.spin(0.3)
-    rest = rig.rest.astype(np.float32)
-    np.testing.assert_array_equal(site.cloud(TOP, rig.joint_names, rest), drapers[TOP].drape(rest))

@@ -66,16 +66,6 @@ def test_missing_joints_keep_what_came_in(peer, told, draper, separator):
     )
 
 
-def test_bad_messages_change_nothing(peer, told, draper, separator):
-    """They are refused as ever, and nothing is published for them."""
-    rig = draper.model.rig
-    peer.send(rig.joint_names, np.full(len(rig.dofs), np.nan), (7, 0))
-    peer.cloud(rig.joint_names, rig.rest, (7, 1))
-    peer.until(lambda: (7, 1) in told, "separated joint state")
-    assert (7, 0) not in told
-    np.testing.assert_array_equal(np.float32(told[7, 1].position), rig.rest.astype(np.float32))
-
-
 def test_no_topic_without_the_parameter(peer, running_node, model_path, separating_node):
     """It is off unless asked for; each avatar has its own."""
     overrides = {

@@ -16,7 +16,6 @@ from physkin_ros.root.gravity import (
     LatestByStamp,
     gravity_from_imu,
     gravity_from_quaternion,
-    gravity_from_tilt,
 )
 from physkin_ros.root.quaternions import OrientationError
 
@@ -36,15 +35,6 @@ def test_what_is_no_rotation_is_refused(wrong):
     """Among them the message nobody filled in."""
     with pytest.raises(OrientationError, match="must be a unit quaternion"):
         gravity_from_quaternion(wrong)
-
-
-def test_roll_and_pitch():
-    """As REP-103's fixed-axis angles."""
-    for roll, pitch in np.random.default_rng(2).uniform(-3, 3, (20, 2)):
-        expected = Rotation.from_euler("xy", [roll, pitch]).inv().apply(DOWN)
-        np.testing.assert_allclose(gravity_from_tilt(roll, pitch), expected, atol=1e-12)
-    with pytest.raises(OrientationError, match="roll is nan"):
-        gravity_from_tilt(float("nan"), 0.0)
 
 
 def test_imu():

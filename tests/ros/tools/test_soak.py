@@ -67,7 +67,7 @@ def test_soak(domain, tmp_path, seconds):
     others = os.getloadavg()[0]
     bodies = tmp_path / "bodies"
     bodies.mkdir()
-    parameters = node_parameters(GARMENTS, [{"model": MODEL}], orientation="fixed") | {"asset_roots": [str(bodies)]}
+    parameters = node_parameters(GARMENTS, [{"model": MODEL}]) | {"asset_roots": [str(bodies)]}
     motion = load_motion("dance").resampled(RATE_HZ).looped(seconds)
     with NodeProcess(parameters, tmp_path) as node, ProcessPoolExecutor(1, get_context("spawn")) as pool:
         site = Site(domain, node._process, [])

@@ -85,7 +85,7 @@ def test_clouds_are_right_throughout(start_site, tmp_path, seconds):
     for name, content in (bodies | models).items():
         (folder / name).write_bytes(content)
     garment = {"model": str(folder / "tshirt.safetensors")}
-    avatars = {"alice": {"sway": 0.0, "orientation": "fixed", "garments": {"top": garment}}}
+    avatars = {"alice": {"sway": 0.0, "garments": {"top": garment}}}
     site = start_site({"asset_roots": [str(folder)], "avatars": avatars}, [TOP])
     site.publisher(TOPIC)
     site.until(lambda: TOP in site.statuses, "diagnostics")

@@ -1,0 +1,89 @@
+"""What an avatar wears at the moment: an outfit, bound to the arrays that its frames are computed from.
+
+Dimensions: `d` degrees of freedom, `g` garments. Radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from physkin_core import LimbSeparator, Rig
+from physkin_ros.joints.bone_rotation_message import BoneRotationReader
+from physkin_ros.joints.joint_naming import load_naming
+from physkin_ros.joints.joint_state_wire import JointStateWire
+from physkin_ros.joints.joint_states import JointStateReader
+from physkin_ros.joints.vrm_naming import VRM
+from physkin_ros.node.asset_loading import LoadedWear
+from physkin_ros.node.diagnostics import PoseRange
+from physkin_ros.node.garment_stream import GarmentStream, LayerMessages
+from physkin_ros.node.interpolation import PoseInterpolator
+from physkin_ros.node.settings import AvatarSettings
+
+__all__ = ["WornOutfit"]
+
+
+class WornOutfit:
+    """An outfit with the readers of messages for its rig, and the messages that its frames fill.
+
+    streams: of the garments, from the skin outwards. before: what was worn until now. on_unknown, on_degrees: as of
+    `JointStateReader`.
+    received: (d,) float32, the joint positions of the last message; only the readers write them. step: computes the
+    frame that `set_frame` has set into the garments' messages; raises ValueError when a result is not finite.
+    Raises ValueError for a joint map that cannot be read.
+    """
+
+    def __init__(
+        self,
+        settings: AvatarSettings,
+        loaded: LoadedWear,
+        streams: Sequence[GarmentStream],
+        before: WornOutfit | None,
+        *,
+        on_unknown: Callable[[list[str]], None],
+        on_degrees: Callable[[str, float], None],
+    ) -> None:
+        self.outfit = loaded.outfit
+        self._rig: Rig = loaded.outfit.layers[0].model.rig
+        self._on_unknown, self._skeleton = on_unknown, "vrm" if settings.joint_map == VRM else "rig"
+        self.reader = JointStateReader(
+            self._rig.joint_names,
+            self._rig.rest,
+            naming=load_naming(settings.joint_map, self._rig),
+            on_unknown=on_unknown,
+            on_degrees=on_degrees,
+        )
+        self.received = self.reader.positions.copy()
+        self.wire = JointStateWire(self.reader, self.received)
+        self.range = PoseRange(self._rig, self.received)
+        self.interpolator = PoseInterpolator(len(self.received), len(streams)) if settings.cloud_rate else None
+        self.separator = None if loaded.limbs is None else LimbSeparator.from_bound(loaded.limbs)
+        known = {each.stream: each for each in before.garments} if before is not None else {}
+        self.garments = tuple(
+            LayerMessages(stream, self.outfit, index, splats=loaded.splats, before=known.get(stream))
+            for index, stream in enumerate(streams)
+        )
+        self.draped, self._inputs = self.received.copy(), np.zeros((len(streams), 13), dtype=np.float32)
+        self.step = self.outfit.bind_frame(self.draped, self._inputs, [each.points for each in self.garments])
+
+    @cached_property
+    def bone_rotations(self) -> BoneRotationReader:
+        """Reads rotations of bones. Raises JointStateError for a rig that these are not for."""
+        return BoneRotationReader(self._rig, self.reader, skeleton=self._skeleton, on_unknown=self._on_unknown)
+
+    def carry_on(self, before: WornOutfit) -> None:
+        """Keep the last good pose over a swap, where the rig is the same."""
+        if before.reader.joint_names == self.reader.joint_names:
+            self.reader.positions = before.reader.positions
+
+    def set_frame(self, positions: np.ndarray, inputs: np.ndarray) -> float | None:
+        """Set what is draped next: joint positions (d,), limbs separated where that is asked for, and rows of frame
+        input (g, 13). Returns how far limbs were moved apart [rad], None without separation."""
+        self._inputs[:] = inputs
+        if self.separator is None:
+            self.draped[:] = positions
+            return None
+        _, change = self.separator.separate(positions, out=self.draped)
+        return change
