@@ -98,29 +98,20 @@ def outfit_table(scores: Mapping) -> str:
 
 def dynamics_table(scores: Mapping) -> str:
     """Rows of `evaluate_dynamics` as Markdown: each scene without and with sway; the other figures below."""
-    total, kinds = scores["dynamic"], ("simulated", "quasi_static", "swaying")
-    columns = ("rmse_mm", "moving_rmse_mm", "velocity_rmse_ms", "potential_ratio")
+    total = scores["dynamic"]
+    columns = {"rmse_mm": "distance mm", "moving_rmse_mm": "less at rest mm"}
     cells = []
     for name, row in {"all": total, **scores["scenes"]}.items():
         pairs = [value for column in columns for value in (row["quasi_static"][column], row[column])]
-        cells.append([name, row["at_rest_mm"], *pairs])
-    headers = ["scene", "at rest mm", *(f"{column}{of}" for column in columns for of in (", still", ", sway"))]
+        cells.append([name, row["at_rest_mm"], *pairs, row["added_strain_points"]])
+    of_kinds = (f"{column}{of}" for column in columns.values() for of in (", each frame by itself", ", sway"))
+    headers = ["scene", "at rest mm", *of_kinds, "strain +"]
     lines = [tabulate(cells, headers, tablefmt="pipe", floatfmt=".2f"), ""]
-    for what, by_kind in (
-        {f"swing at {k} Hz": v for k, v in total["swings"].items()}
-        | {name: total[name] for name in ("stop", "turn") if name in total}
-    ).items():
-        said = (", ".join(f"{k} {v:.2f}" for k, v in by_kind[kind].items()) for kind in kinds)
-        lines.append(f"{what}: " + "; ".join(f"{kind} {text}" for kind, text in zip(kinds, said)))
-    others = (
-        "rate_divergence_mm",
-        "drop_divergence_mm",
-        "still_mm",
-        "strain_percent",
-        "added_strain_points",
-        "added_step_us",
-    )
-    lines += ["", ", ".join(f"{name} {total[name]:.3f}" for name in others)]
+    ends = {f"swing at {rate} Hz": by_kind for rate, by_kind in total["swings"].items()}
+    ends |= {name: total[name] for name in ("stop", "turn") if name in total}
+    for what, by_kind in ends.items():
+        said = (f"{kind} " + ", ".join(f"{k} {v:.2f}" for k, v in row.items()) for kind, row in by_kind.items())
+        lines.append(f"{what}: " + "; ".join(said))
     return "\n".join(lines)
 
 
