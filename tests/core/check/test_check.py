@@ -20,9 +20,9 @@ from physkin_core import (
 )
 from physkin_core.check import check
 from physkin_core.check.advice import OutfitCheck, reason_and_advice
-from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check
+from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check, stands_off_mm
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.check.sight import hole_percent, stands_off_mm
+from physkin_core.check.sight import hole_percent
 from physkin_core.export.gltf_builder import write_glb
 from physkin_core.motion.everyday_poses import everyday_poses
 

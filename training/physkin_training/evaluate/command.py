@@ -132,6 +132,6 @@ def _score_outfits(arguments: argparse.Namespace) -> dict:
         if text in outfits:
             raise ValueError(f"--outfit {text} is given twice")
         outfits[text] = parse_outfit(text)
-    scores = evaluate_outfits(outfits, motions, resolve_device(arguments.device), **options)
+    scores = evaluate_outfits(outfits, motions, **options)
     print(outfit_table(scores))
     return scores

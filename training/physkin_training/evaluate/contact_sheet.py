@@ -113,8 +113,7 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     for batch in evaluation.batches(pairs):
         bodies.append(evaluation.posed_bodies.vertices[: batch.count].cpu().numpy())
         with torch.no_grad():
-            inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
-            drapes = {"model": evaluation.drape(*inputs)}
+            drapes = {"model": evaluation.own_drape(batch)}
         if minimum:
             drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch, iterations=ITERATIONS).vertices
         for row, vertices in drapes.items():

@@ -16,16 +16,12 @@ COLUMNS = {
     "area_strain_percent": "area %",
     "inside_percent": "inside %",
     "inside_worn_percent": "inside worn parts %",
-    "skin_shows_percent": "skin shows %",
-    "skin_in_sight_percent": "in sight %",
+    "skin_seen_percent": "skin seen %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",
     "stretch_j": "stretch J",
     "bend_j": "bend J",
-    "fold_energy_ratio": "/ minimum's",
-    "fold_noise_ratio": "noise / minimum's",
-    "normal_error_degrees": "normals °",
     "collision_j": "contact J",
     "gravity_j": "gravity J",
     "jitter_mm": "jitter mm",
@@ -33,10 +29,9 @@ COLUMNS = {
     "snaps_percent": "snaps %",
 }
 OUTFIT_COLUMNS = {
-    "poke_percent": "poke %",
-    "poke_p999_mm": "poke p99.9 mm",
-    "seen_poke_percent": "seen %",
+    "shows_through_percent": "shows through %",
     "skin_shows_percent": "skin shows %",
+    "hole_percent": "holes %",
     "added_strain_points": "strain +",
     "added_jitter_ratio": "jitter x",
     "hidden_vertices_percent": "hidden %",
@@ -89,7 +84,7 @@ def outfit_table(scores: Mapping) -> str:
     for outfit, figures in scores["outfit"].items():
         rows = {outfit: figures}
         if len(figures["pairs"]) > 1:
-            rows |= {f"- {pair}": counted for pair, counted in figures["pairs"].items()}
+            rows |= {f"- {pair}": {"shows_through_percent": shows} for pair, shows in figures["pairs"].items()}
         rows |= {f"- in {clip}": counted for clip, counted in figures["clips"].items()}
         cells += [[name, *(row.get(column) for column in OUTFIT_COLUMNS)] for name, row in rows.items()]
     of = "{bodies} bodies, {frames} runs of {run} frames from {clips} clips".format(**scores["counts"])
