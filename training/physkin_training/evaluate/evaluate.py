@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.body_model import load_body_model
 from physkin_core.check.sight import Cameras, Figure, Surface, what_shows, who_covers
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
@@ -67,9 +67,8 @@ class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
-    strains are against the rest shape at that fit. body_model: whose bodies, default the adults that are shipped.
-    watch: is told of every batch how many measured pairs it was worth. Raises ValueError when the model is for another
-    rig than the body model's, or there are not so many bodies.
+    strains are against the rest shape at that fit. watch: is told of every batch how many measured pairs it was worth.
+    Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
     """
 
     def __init__(
@@ -82,11 +81,10 @@ class Evaluation:
         seed: int,
         batch: int = 64,
         fit: float | None = None,
-        body_model: BodyModel | None = None,
         watch: Callable[[int], None] = lambda pairs: None,
     ) -> None:
         fit = checked_fit(model, fit)
-        body_model = body_model or load_body_model()
+        body_model = load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
             if not 1 <= bodies <= len(held_out):
