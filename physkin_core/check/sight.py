@@ -2,7 +2,7 @@
 
 Twelve cameras around a figure, above and below, look at it along parallel lines of sight, one a pixel. What lies next
 to the outside of an outer surface at rest, beneath it or, where that has sunk in, above it, belongs under it. It shows
-in a pose where it is the first thing seen, and the outer surface is not above it, as where one looks in at an opening.
+in a pose where it is the first thing seen and outside of the outer surface: what one sees through an opening is inside.
 Nothing shows where the closest cloth is a hem: hems are lifted.
 
 A line of sight that meets an edge between two faces may pass between them, and which of them it meets differs from one
@@ -23,7 +23,7 @@ from scipy.ndimage import binary_opening
 from physkin_core.avatar.body_parts import free_bones
 from physkin_core.model.surface_paths import HEM
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.quality import closest_points
+from physkin_core.quality import closest_points, signed_distance
 
 __all__ = [
     "Cameras",
@@ -46,8 +46,6 @@ FAR = 10.0
 """[m] Farther than any body is large."""
 REACH = 0.1
 """[m] Surfaces that belong over each other lie this closely at rest."""
-ABOVE = 0.3
-"""[m] In a pose, cloth so far along the outward normal covers what is beneath it, as a wide skirt does."""
 BEYOND = 1e-4
 """[m] behind a surface the next one is looked for."""
 OUTLINE = 0.012
@@ -100,12 +98,11 @@ class Cameras:
 @dataclass(frozen=True)
 class Hits:
     """What each of k lines of sight meets next. surface: (k,) its index, -1 for none. face: (k,) of that surface.
-    distance: (k,) from where it began. normal: (k, 3) unit, outwards. facing: (k,) bool, the outside is seen."""
+    distance: (k,) from where it began. facing: (k,) bool, the outside is seen."""
 
     surface: np.ndarray
     face: np.ndarray
     distance: np.ndarray
-    normal: np.ndarray
     facing: np.ndarray
 
     def __getitem__(self, chosen: np.ndarray) -> Hits:
@@ -118,20 +115,23 @@ class Hits:
         return met
 
 
-class Scene:
-    """Surfaces that lines of sight meet."""
+class Figure:
+    """Surfaces from the skin outwards, and what is seen of them. cameras: default those onto all of them."""
 
-    def __init__(self, surfaces: Sequence[Surface]) -> None:
+    def __init__(self, surfaces: Sequence[Surface], cameras: Cameras | None = None) -> None:
         from point_cloud_utils import RayMeshIntersector
 
+        self.surfaces = surfaces
         first = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
         self._starts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
         vertices = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
         faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, first)]).astype(np.int64)
         a, b, c = vertices[faces].transpose(1, 0, 2)
         self._normals = np.cross(b - a, c - a)
-        self._normals /= np.maximum(np.linalg.norm(self._normals, axis=1, keepdims=True), 1e-30)
         self._mesh = RayMeshIntersector(vertices, faces)
+        self.cameras = cameras or Cameras(vertices)
+        self.first = self.meet(self.cameras.origins, self.cameras.directions)
+        """What is seen, (R,)."""
 
     def meet(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """What lines of sight (k, 3) meet first."""
@@ -142,24 +142,10 @@ class Scene:
         face, _, distance = (x[:count] for x in found)
         met = (face >= 0) & np.isfinite(distance)
         face = np.where(met, face, 0).astype(np.int64)
-        surface, normal = np.searchsorted(self._starts, face, side="right") - 1, self._normals[face]
-        return Hits(
-            np.where(met, surface, -1),
-            face - self._starts[surface],
-            np.where(met, distance, np.inf),
-            normal,
-            met & (np.einsum("ki,ki->k", normal, directions[:count]) < 0),
-        )
-
-
-class Figure:
-    """Surfaces from the skin outwards, and what is seen of them. cameras: default those onto all of them."""
-
-    def __init__(self, surfaces: Sequence[Surface], cameras: Cameras | None = None) -> None:
-        self.surfaces, self._scene = surfaces, Scene(surfaces)
-        self.cameras = cameras or Cameras(np.concatenate([surface.vertices for surface in surfaces]))
-        self.first = self._scene.meet(self.cameras.origins, self.cameras.directions)
-        """What is seen, (R,)."""
+        surface = np.searchsorted(self._starts, face, side="right") - 1
+        facing = met & (np.einsum("ki,ki->k", self._normals[face], directions[:count]) < 0)
+        within = face - self._starts[surface]
+        return Hits(np.where(met, surface, -1), within, np.where(met, distance, np.inf), facing)
 
     def seen_points(self, pixels: np.ndarray) -> np.ndarray:
         """(k, 3) where what is seen in pixels (k,) is."""
@@ -169,7 +155,7 @@ class Figure:
     def behind(self, pixels: np.ndarray) -> Hits:
         """What lies behind what is seen in pixels (k,); distances are from there."""
         directions = self.cameras.directions[pixels]
-        return self._scene.meet(self.seen_points(pixels) + BEYOND * directions, directions)
+        return self.meet(self.seen_points(pixels) + BEYOND * directions, directions)
 
 
 @dataclass(frozen=True)
@@ -181,8 +167,7 @@ class Cover:
 
 
 def who_covers(inner: Surface, outer: Surface) -> Cover:
-    """What belongs under an outer surface at rest: next to its outside within 10 cm, facing as it does, and not seen
-    through an opening."""
+    """What belongs under an outer surface at rest: next to its outside within 10 cm, facing as it does."""
     return _cover(Figure([inner, outer], Cameras(outer.vertices)))
 
 
@@ -197,11 +182,7 @@ def _cover(figure: Figure) -> Cover:
         for hits in (first, second):
             corner[surface.faces[hits.face[both & (hits.surface == index)]]] = True
         marked.append(corner[surface.faces].all(axis=1))
-    under, over = marked
-    through, open_to_view = (
-        np.bincount(first.face[(first.surface == 0) & of], minlength=len(under)) for of in (both, ~both)
-    )
-    return Cover(under & (open_to_view <= through), over)
+    return Cover(*marked)
 
 
 @dataclass(frozen=True)
@@ -224,7 +205,7 @@ def what_shows(figure: Figure, covers: Mapping[tuple[int, int], Cover]) -> dict[
     found = {}
     for (inner, outer), cover in covers.items():
         shows = figure.first.on(inner, cover.under)
-        shows[shows] = _is_bare(figure, np.flatnonzero(shows), figure.surfaces[outer])
+        shows[shows] = _outside(figure.seen_points(np.flatnonzero(shows)), figure.surfaces[outer])
         shows = figure.cameras.agreed(shows)
         faces = np.zeros(len(cover.under), dtype=bool)
         faces[figure.first.face[shows]] = True
@@ -239,17 +220,15 @@ def skin_shows(skin: Surface, cloth: Surface) -> Shown:
     return what_shows(figure, {(0, 1): _cover(figure)})[0, 1]
 
 
-def _is_bare(figure: Figure, pixels: np.ndarray, outer: Surface) -> np.ndarray:
-    """(k,) bool: what is seen in pixels (k,) has no cloth above it, and the closest is no hem."""
-    if len(pixels) == 0:
+def _outside(points: np.ndarray, outer: Surface) -> np.ndarray:
+    """(k,) bool: points (k, 3) are outside of the closest cloth, and that is no hem."""
+    if len(points) == 0:
         return np.zeros(0, dtype=bool)
-    points, normals = figure.seen_points(pixels), figure.first[pixels].normal
-    above = Scene([outer]).meet(points + BEYOND * normals, normals)
-    bare = (above.surface < 0) | above.facing | (above.distance > ABOVE)
+    outside = signed_distance(points, outer.vertices, outer.faces) > 0
     if outer.hem_distance is None:
-        return bare
+        return outside
     _, face, share = closest_points(points, outer.vertices, outer.faces)
-    return bare & ((share * np.minimum(outer.hem_distance, FAR)[outer.faces[face]]).sum(axis=1) > HEM)
+    return outside & ((share * np.minimum(outer.hem_distance, FAR)[outer.faces[face]]).sum(axis=1) > HEM)
 
 
 def holes(whole: Figure, given: Figure) -> np.ndarray:

@@ -121,9 +121,11 @@ def test_a_waistband_that_stands_off_is_found(avatar):
 def test_a_hole_in_the_chest_is_in_sight_unless_a_shirt_covers_it(avatar, tshirt):
     centres = avatar.vertices[avatar.faces].mean(axis=1)
     holed = replace(avatar, faces=avatar.faces[np.linalg.norm(centres - [0.15, 0, 0.25], axis=1) > 0.1])
-    covered, seen = (hole_percent(Outfit([model], holed)) for model in (tshirt, load_garment_model("trousers")))
-    whole = hole_percent(Outfit([load_garment_model("trousers")], avatar))
-    assert covered < 0.05 and seen > 1 and whole == 0
+    trousers = load_garment_model("trousers")
+    assert hole_percent(Outfit([tshirt], holed)) < 0.05  # half of what counts
+    assert hole_percent(Outfit([trousers], holed)) > 1  # 20 cm wide, on a figure of some square metre: a bad one
+    # lines of sight that pass between faces, as processors differ in, are single pixels and do not count
+    assert hole_percent(Outfit([trousers], avatar)) == 0
 
 
 def test_likeness_names_the_pivot_that_is_elsewhere(avatar, tshirt):

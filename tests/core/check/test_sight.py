@@ -7,7 +7,7 @@ import pytest
 from random_models import tube
 
 from physkin_core import load_body_model, load_garment_model
-from physkin_core.check.sight import CAMERAS, Cameras, Figure, Scene, Surface, holes, skin_shows, what_shows, who_covers
+from physkin_core.check.sight import CAMERAS, Cameras, Figure, Surface, holes, skin_shows, what_shows, who_covers
 from physkin_core.model.surface_paths import HEM, hem_distances
 
 
@@ -39,8 +39,8 @@ def pushed(vertex, distance):
     return vertices
 
 
-def test_what_is_covered_is_not_seen_through_openings():
-    """Every face of the middle; some near the ends are looked at from above and below."""
+def test_what_is_covered_belongs_and_does_not_show():
+    """Every face of the middle, though cameras look into the tubes' ends."""
     from_end = np.minimum(HEIGHT - HEIGHT.min(), HEIGHT.max() - HEIGHT)[INNER.faces].min(axis=1)
     assert COVER.under[from_end > HEM].all() and COVER.over[from_end > HEM].all()
     _, nothing = shown(INNER.vertices)
@@ -92,7 +92,7 @@ def test_single_pixels_decide_nothing():
 
 
 def test_one_line_of_sight_meets_what_many_meet():
-    scene = Scene([INNER])
+    scene = Figure([INNER], CAMERAS_OF_TUBES)
     origins, directions = np.array([[1.0, 0.01, 0.02], [-1.0, 0.01, 0.05]]), np.array([[-1.0, 0, 0], [1.0, 0, 0]])
     both = scene.meet(origins, directions)
     for k in (0, 1):
