@@ -51,6 +51,7 @@ def test_the_command_refuses_what_does_not_go_together(arguments, message, capsy
     assert error.startswith("error: ") and message in error
 
 
+@pytest.mark.slow
 def test_the_command_writes_all_figures(tmp_path, capsys):
     """Of an outfit in a moment of a shipped clip: order leaves next to nothing to see, at a small cost."""
     clip = load_motion("dance")
