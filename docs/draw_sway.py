@@ -1,8 +1,8 @@
 """Draw the film `docs/sway.webp`: garments that sway, each above its simulation: python docs/draw_sway.py FOLDER
 
-FOLDER holds references of the scene `turn` with every fourth frame kept whole; each takes some ten minutes of a core:
+FOLDER holds references of the scene `turn`; each takes some ten minutes of a core:
 
-    physkin simulate dress --dynamic --scenes turn --bodies 1 --seconds 3.4 --whole 4 --held-above 0.08 -o FOLDER
+    physkin simulate dress --dynamic --scenes turn --bodies 1 --seconds 3.4 --held-above 0.08 -o FOLDER
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ FILM = ROOT / "docs" / "sway.webp"
 GARMENTS = ("skirt", "circleskirt", "dress", "maxidress")
 FROM = 36
 """The first frame that is shown, shortly before the root turns."""
+STEP = 4
+"""Every so many frames are shown."""
 SIZE, AZIMUTH = (210, 270), 25
 
 
@@ -32,13 +34,13 @@ def figures(reference: Reference) -> tuple[list[list[Mesh]], list[list[Mesh]]]:
     """Of each frame that is shown body and cloth, upright: as it sways, and as it was simulated."""
     outfit = Outfit(
         [WornGarment(load_garment_model(reference.garment))],
-        avatar_from_body(load_body_model(), reference.bodies[reference.whole_body]),
+        avatar_from_body(load_body_model(), reference.bodies[0]),
     )
-    motion, simulated = reference.motion, dict(zip(reference.whole_frames.tolist(), reference.whole))
+    motion, simulated = reference.motion, reference.simulated(0)
     rows: tuple[list[list[Mesh]], list[list[Mesh]]] = ([], [])
     for frame, positions in enumerate(motion.positions_for(outfit.rig)):
         (cloth,) = outfit.drape(positions, time=frame / motion.rate_hz, root=motion.root[frame])
-        if frame < FROM or frame not in simulated:
+        if frame < FROM or frame % STEP:
             continue
         turn, body = Rotation.from_quat(motion.root[frame, 3:]), outfit.posed_body(positions)
         for row, points in zip(rows, (cloth[:, :3], simulated[frame])):
@@ -61,8 +63,7 @@ def draw_film(folder: Path) -> None:
         )
         for frame in zip(*shown)
     )
-    step = int(np.diff(references[0].whole_frames).min())
-    write_film(FILM, pictures, references[0].motion.rate_hz / step)
+    write_film(FILM, pictures, references[0].motion.rate_hz / STEP)
     print(f"wrote {FILM}")
 
 

@@ -109,7 +109,7 @@ def _print(report: dict) -> None:
             f"  at rest   {rest['inside_percent']:.2f} % of the cloth inside the body, {rest['deepest_mm']:.0f} mm deep"
         )
         print(
-            f"            {found['skin_shows_percent']:.2f} % of the skin that it should cover can be seen; collar or "
+            f"            skin is seen in {found['skin_shows_percent']:.2f} % of where cloth should be seen; collar or "
             f"waistband {found['stands_off_mm']:.0f} mm from the skin"
         )
         print(

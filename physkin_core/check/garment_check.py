@@ -12,39 +12,25 @@ from typing import Literal, get_args
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.check.sight import stands_off_mm
-from physkin_core.model.garment import Garment, face_areas
-from physkin_core.model.surface_paths import mesh_edges, path_lengths
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.check.sight import Surface, skin_shows
+from physkin_core.model.garment import Garment
+from physkin_core.model.surface_paths import hem_distances, openings
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.layer import Layer
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
-__all__ = [
-    "VERDICTS",
-    "GarmentCheck",
-    "RestCheck",
-    "SkinSeen",
-    "Verdict",
-    "check_garment",
-    "near_hem",
-    "rest_check",
-    "skin_seen",
-    "skin_without_cloth",
-]
+__all__ = ["VERDICTS", "GarmentCheck", "RestCheck", "Verdict", "check_garment", "rest_check", "stands_off_mm"]
 
-REACH = 0.1
-"""Skin belongs to the cloth that its normal meets within this distance [m], on either side."""
-FROM_HEM = 0.03
-"""Skin under cloth this close [m] to a hem may show."""
-SKIN_SPACING = 1e-4
-"""Rays start this far [m] off the skin."""
+MOSTLY = 90
+"""Percentile of an opening's distances that counts: a waistband may stand off at the back alone."""
 CLEAR_PERCENT = 0.05
 """Most of the vertices [%] that may be inside where a garment sits well."""
 BAD_PERCENT, BAD_DEPTH_MM = 2.0, 20.0
 """More of the vertices inside, or one deeper, is bad."""
 SHOWN_PERCENT = 0.005
-"""Less of the skin than this is none: a face or two."""
+"""Less of the pixels than this is none."""
 GOOD_EVERYDAY = 1.0
 """Most of the vertices inside the body [%], over the everyday poses, for the verdict "good"."""
 STANDS_OFF_MM, GAPES_MM = 15.0, 40.0
@@ -58,7 +44,7 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 @dataclass(frozen=True)
 class RestCheck:
     """inside_percent: of the garment's vertices inside the body. deepest_mm: the deepest of them. skin_shows_percent:
-    see `skin_without_cloth`."""
+    of the pixels that should show cloth those that show skin, see `skin_shows`."""
 
     inside_percent: float
     deepest_mm: float
@@ -82,71 +68,15 @@ class RestCheck:
 
 
 def rest_check(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> RestCheck:
-    """The garment draped at the canonical pose, cloth (n, 3), on a body (V, 3), (f, 3); some tens of milliseconds."""
+    """The garment draped at the canonical pose, cloth (n, 3), on a body (V, 3), (f, 3); some tenths of a second."""
     contact = contact_figures(signed_distance(cloth, body_vertices, body_faces))
+    hem_distance = hem_distances(garment.vertices, garment.faces)
+    shown = skin_shows(Surface(body_vertices, body_faces), Surface(cloth, garment.faces, hem_distance))
     return RestCheck(
         inside_percent=contact["inside_percent"],
         deepest_mm=contact["max_depth_mm"],
-        skin_shows_percent=skin_without_cloth(garment, cloth, body_vertices, body_faces),
+        skin_shows_percent=shown.percent,
     )
-
-
-@dataclass(frozen=True)
-class SkinSeen:
-    """Faces of the body, (f,) bool. belongs: that have cloth above or beneath; shows: of these, with none above."""
-
-    belongs: np.ndarray
-    shows: np.ndarray
-
-    def shows_percent(self, areas: np.ndarray) -> float:
-        """Share [%] of the skin that belongs to the cloth. areas: (f,) of the body's faces."""
-        return float(100 * areas[self.shows].sum() / max(areas[self.belongs].sum(), 1e-12))
-
-
-def skin_without_cloth(garment: Garment, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
-    """Of the skin that has cloth above or beneath it, the share [%] that has none above.
-
-    cloth: (n, 3) [m] the garment's vertices; body_vertices (V, 3), body_faces (f, 3).
-    """
-    seen = skin_seen(cloth, garment.faces, near_hem(garment), body_vertices, body_faces)
-    return seen.shows_percent(face_areas(np.asarray(body_vertices, dtype=np.float64), body_faces))
-
-
-def skin_seen(
-    cloth: np.ndarray, cloth_faces: np.ndarray, hem: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray
-) -> SkinSeen:
-    """Which skin shows through cloth (n, 3) [m], of one garment or of several together, with faces cloth_faces (g, 3).
-
-    hem: (n,) bool, from `near_hem`: skin whose nearest cloth along the normal is there counts as covered.
-    body_vertices (V, 3), body_faces (f, 3).
-    """
-    from point_cloud_utils import ray_mesh_intersection
-
-    cloth = np.ascontiguousarray(cloth, dtype=np.float64)
-    faces = np.ascontiguousarray(cloth_faces, dtype=np.int64)
-    corners = np.asarray(body_vertices, dtype=np.float64)[body_faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    centres = corners.mean(axis=1)
-    cloth_normals = np.cross(cloth[faces[:, 1]] - cloth[faces[:, 0]], cloth[faces[:, 2]] - cloth[faces[:, 0]])
-
-    def meets(way: np.ndarray, start: float) -> np.ndarray:
-        """The cloth's face (f,) that a ray meets first, which looks as the skin does; -1 for none."""
-        origins = np.ascontiguousarray(centres + start * normals)
-        hit, _, distance = ray_mesh_intersection(cloth, faces, origins, np.ascontiguousarray(way))
-        found = (hit >= 0) & np.isfinite(distance) & (distance < REACH)
-        alike = (cloth_normals[np.where(found, hit, 0)] * normals).sum(axis=1) > 0
-        return np.where(found & alike, hit, -1)
-
-    above, beneath = meets(normals, SKIN_SPACING), meets(-normals, SKIN_SPACING)
-    shows = (above < 0) & (beneath >= 0) & ~hem[faces].any(axis=1)[np.maximum(beneath, 0)]
-    return SkinSeen(belongs=(above >= 0) | shows, shows=shows)
-
-
-def near_hem(garment: Garment) -> np.ndarray:
-    """(n,) bool, vertices within 3 cm of an edge that only one face has, along the mesh at rest."""
-    edges, count = mesh_edges(garment.faces)
-    return path_lengths(garment.vertices, garment.faces, np.unique(edges[count == 1])) <= FROM_HEM
 
 
 @dataclass(frozen=True)
@@ -220,3 +150,16 @@ def check_garment(layer: Layer, avatar: Avatar, *, poses: np.ndarray | None = No
         edge_strain_percent=float(np.mean(strains)),
     )
     return GarmentCheck(at_rest, everyday, stands_off_mm(layer, lying, avatar.vertices, avatar.faces))
+
+
+def stands_off_mm(layer: Layer, cloth: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray) -> float:
+    """How much farther [mm] than on the body that it was made on the uppermost opening of a garment, collar or
+    waistband, is from the skin. cloth: (n, 3) at rest, on a body (V, 3), (f, 3)."""
+    garment, maker = layer.model.garment, load_body_model()
+    loops = openings(garment.vertices, garment.faces)
+    if not loops or layer.model.rig.bone_names != maker.rig.bone_names:
+        return 0.0
+    made_on = maker.vertices(maker.garment_body)
+    usual = signed_distance(garment.vertices[loops[0]], made_on, maker.faces)
+    here = signed_distance(cloth[loops[0]], body_vertices, body_faces)
+    return 1000 * max(float(np.percentile(here, MOSTLY) - np.percentile(usual, MOSTLY)), 0.0)

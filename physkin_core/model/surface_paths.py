@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["mesh_edges", "openings", "path_lengths"]
+__all__ = ["HEM", "hem_distances", "mesh_edges", "openings", "path_lengths"]
+
+HEM = 0.03
+"""[m] Width of the strip along an opening that is its hem: what lies under it may be seen."""
 
 
 def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -43,3 +46,9 @@ def path_lengths(vertices: np.ndarray, faces: np.ndarray, sources: np.ndarray) -
     lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
     graph = coo_array((lengths, edges.T), shape=(len(vertices), len(vertices))).tocsr()
     return dijkstra(graph, directed=False, indices=sources, min_only=True)
+
+
+def hem_distances(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(n,) [m] along the surface from each vertex to the closest opening, infinite where it is closed."""
+    edges, count = mesh_edges(faces)
+    return path_lengths(vertices, faces, np.unique(edges[count == 1]))

@@ -18,7 +18,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import face_areas, vertex_normals
-from physkin_core.model.surface_paths import openings, path_lengths
+from physkin_core.model.surface_paths import HEM, hem_distances
 from physkin_core.outfit.tuck import DEEP, SLIDES
 from physkin_core.runtime.layer import Layer
 
@@ -27,8 +27,6 @@ __all__ = [
     "slimmed",
 ]
 
-FROM_HEM = 0.03
-"""[m] along the cover, from its hem, within which nothing under it is hidden."""
 FLARE = 1.5
 """How much longer the way to a hem is along cloth that flares or is folded than straight: by less, a circle skirt would
 cover ankles that are below it."""
@@ -102,7 +100,7 @@ def covered(points: np.ndarray, normals: np.ndarray, covers: Sequence[Cover]) ->
     under = np.zeros(len(points), dtype=bool)
     for cover in covers:
         left = np.flatnonzero(~under)
-        under[left] = _depths(points[left], normals[left], cover) >= FROM_HEM
+        under[left] = _depths(points[left], normals[left], cover) >= HEM
     return under
 
 
@@ -132,8 +130,7 @@ def slimmed(avatar: Avatar, covers: Sequence[Cover]) -> Avatar:
 def _cover_of(piece: Avatar) -> Cover:
     """A piece of the avatar's own clothes at rest."""
     vertices, faces = piece.vertices, piece.faces
-    hems = np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)])
-    within = np.minimum(path_lengths(vertices, faces, hems), STANDS_OUT)  # closed pieces have no hem
+    within = np.minimum(hem_distances(vertices, faces), STANDS_OUT)  # closed pieces have no hem
     return Cover(vertices, vertex_normals(vertices, faces), within)
 
 

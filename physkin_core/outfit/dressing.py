@@ -12,8 +12,8 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.surface_matching import with_normals
+from physkin_core.model.surface_paths import HEM
 from physkin_core.native_module import native
-from physkin_core.outfit.coverage import FROM_HEM
 from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
 from physkin_core.runtime.binding import bind_garment, draping
@@ -175,7 +175,7 @@ def standing_out(under: Layer, over: Layer) -> tuple[float, float]:
     inner, outer = under.rest.astype(np.float64), over.rest.astype(np.float64)
     match = cKDTree(with_normals(outer[:, :3], outer[:, 3:])).query(with_normals(inner[:, :3], inner[:, 3:]))[1]
     gap = inner[:, :3] - outer[match, :3]
-    near = (over.hem_distance[match] > FROM_HEM) & (np.linalg.norm(gap, axis=1) < BELONGS)
+    near = (over.hem_distance[match] > HEM) & (np.linalg.norm(gap, axis=1) < BELONGS)
     if not near.any():
         return 0.0, 0.0
     off = np.einsum("ni,ni->n", gap, outer[match, 3:])[near]

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physkin_core.check.garment_check import near_hem, skin_seen
-from physkin_core.model.garment import Garment, face_areas
+from physkin_core.check.sight import Surface, skin_shows
+from physkin_core.model.garment import Garment
+from physkin_core.model.surface_paths import hem_distances
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import contact_figures, edge_strains, signed_distance
 from physkin_core.view.scene.scene_state import Frame
@@ -29,20 +30,20 @@ POLITENESS = 10
 
 @dataclass(frozen=True)
 class ContactQuestion:
-    """What `look_at_contact` needs, to be sent to another process: cloth (n, 3), cloth_faces (g, 3), hem (n,) bool,
+    """What `look_at_contact` needs, to be sent to another process: cloth (n, 3), cloth_faces (g, 3), hem_distance (n,),
     body (V, 3), body_faces (F, 3)."""
 
     cloth: np.ndarray
     cloth_faces: np.ndarray
-    hem: np.ndarray
+    hem_distance: np.ndarray
     body: np.ndarray
     body_faces: np.ndarray
 
 
 @dataclass(frozen=True)
 class Contact:
-    """inside_percent: of the cloth's vertices; deepest_mm: the deepest of them. skin_shows_percent: of the skin that
-    belongs to the cloth; skin_shows: (F,) bool, where."""
+    """inside_percent: of the cloth's vertices; deepest_mm: the deepest of them. skin_shows_percent: of the pixels
+    that should show cloth; skin_shows: (F,) bool, where."""
 
     inside_percent: float
     deepest_mm: float
@@ -54,12 +55,12 @@ def look_at_contact(question: ContactQuestion) -> Contact:
     """Some tenths of a second."""
     cloth, body, faces = question.cloth.astype(np.float64), question.body.astype(np.float64), question.body_faces
     found = contact_figures(signed_distance(cloth, body, faces))
-    skin = skin_seen(cloth, question.cloth_faces, question.hem, body, faces)
+    skin = skin_shows(Surface(body, faces), Surface(cloth, question.cloth_faces, question.hem_distance))
     return Contact(
         inside_percent=found["inside_percent"],
         deepest_mm=found["max_depth_mm"],
-        skin_shows_percent=skin.shows_percent(face_areas(body, faces)),
-        skin_shows=skin.shows,
+        skin_shows_percent=skin.percent,
+        skin_shows=skin.faces,
     )
 
 
@@ -70,7 +71,9 @@ class OutfitFigures:
         self.outfit = outfit
         layers = outfit.layers
         self._garments = [layer.visible_garment for layer in layers]
-        self._hem = np.concatenate([near_hem(layer.rest_garment)[layer.visible] for layer in layers])
+        rest = [layer.rest_garment for layer in layers]
+        hems = [hem_distances(garment.vertices, garment.faces) for garment in rest]
+        self._hem_distance = np.concatenate([hem[layer.visible] for hem, layer in zip(hems, layers)])
         first = np.cumsum([0, *(layer.vertex_count for layer in layers[:-1])])
         self._faces = np.concatenate([layer.faces + start for start, layer in zip(first, layers)])
 
@@ -87,7 +90,7 @@ class OutfitFigures:
         cloth = np.concatenate([points[:, :3] for points in frame.cloth])
         avatar = self.outfit.avatar  # not as it is drawn
         body = avatar.posed_vertices(self.outfit.bone_transforms(frame.pose.positions))
-        return ContactQuestion(cloth, self._faces, self._hem, body, avatar.faces)
+        return ContactQuestion(cloth, self._faces, self._hem_distance, body, avatar.faces)
 
 
 def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:

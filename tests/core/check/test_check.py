@@ -20,9 +20,9 @@ from physkin_core import (
 )
 from physkin_core.check import check
 from physkin_core.check.advice import OutfitCheck, reason_and_advice
-from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check
+from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check, stands_off_mm
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
-from physkin_core.check.sight import hole_percent, stands_off_mm
+from physkin_core.check.sight import hole_percent
 from physkin_core.export.gltf_builder import write_glb
 from physkin_core.motion.everyday_poses import everyday_poses
 
@@ -39,6 +39,12 @@ def tshirt():
 @pytest.fixture(scope="module")
 def avatar(tshirt):
     return load_avatar(BUNDLED_AVATAR, tshirt.rig)
+
+
+@pytest.fixture
+def few_poses(monkeypatch):
+    """Four everyday poses in place of twenty."""
+    monkeypatch.setattr(check, "everyday_poses", lambda rig: tuple(each[::5] for each in everyday_poses(rig)))
 
 
 def on_back(points, reach=0.12):
@@ -121,9 +127,11 @@ def test_a_waistband_that_stands_off_is_found(avatar):
 def test_a_hole_in_the_chest_is_in_sight_unless_a_shirt_covers_it(avatar, tshirt):
     centres = avatar.vertices[avatar.faces].mean(axis=1)
     holed = replace(avatar, faces=avatar.faces[np.linalg.norm(centres - [0.15, 0, 0.25], axis=1) > 0.1])
-    covered, seen = (hole_percent(Outfit([model], holed)) for model in (tshirt, load_garment_model("trousers")))
-    whole = hole_percent(Outfit([load_garment_model("trousers")], avatar))
-    assert covered < 0.05 and seen > 1 and whole == 0
+    trousers = load_garment_model("trousers")
+    assert hole_percent(Outfit([tshirt], holed)) < 0.05  # half of what counts
+    assert hole_percent(Outfit([trousers], holed)) > 1  # 20 cm wide, on a figure of some square metre: a bad one
+    # lines of sight that pass between faces, as processors differ in, are single pixels and do not count
+    assert hole_percent(Outfit([trousers], avatar)) == 0
 
 
 def test_likeness_names_the_pivot_that_is_elsewhere(avatar, tshirt):
@@ -184,7 +192,7 @@ def test_everyday_poses_are_within_the_limits():
         everyday_poses(replace(rig, dofs=rig.dofs[:-1]))
 
 
-def test_the_command_writes_what_it_says(tmp_path, capsys):
+def test_the_command_writes_what_it_says(tmp_path, capsys, few_poses):
     """Two garments: the worst of both, and each by name; status 0 for what can be worn, 2 for what cannot be read."""
     path = tmp_path / "check.json"
     assert cli.main(["check", str(BUNDLED_AVATAR), "-g", "skirt", "-g", "tshirt", "--json", str(path)]) == 0
@@ -201,7 +209,7 @@ def test_the_command_writes_what_it_says(tmp_path, capsys):
     assert "nobody.glb" in capsys.readouterr().err
 
 
-def test_the_command_separates_limbs_when_told_to(tmp_path):
+def test_the_command_separates_limbs_when_told_to(tmp_path, few_poses):
     """Less of the skin is inside the body in everyday poses then; at rest nothing changes."""
     reports = []
     for options in ([], ["--separate-limbs"]):
@@ -217,6 +225,7 @@ def test_the_command_separates_limbs_when_told_to(tmp_path):
 def test_the_picture_shows_the_avatar_in_its_own_colours(tmp_path, monkeypatch):
     """Four poses from two sides; trousers as blue as in its file, hair as brown, and the new T-shirt over them."""
     monkeypatch.setattr(check, "PICTURE_SIZE", (78, 132))
+    monkeypatch.setattr(check, "check_garment", lambda *_, **__: GOOD)
     write_glb(tmp_path / "me.glb", dressed_document(sleeves="short"))
     picture = tmp_path / "check.png"
     cli.main(["check", str(tmp_path / "me.glb"), "-g", "tshirt", "-o", str(picture)])

@@ -1,9 +1,9 @@
-"""What eight cameras see of an exported file, against what is draped: layers that poke through, and holes."""
+"""What cameras see of an exported file, against what is draped: layers that poke through, and holes."""
 
 import numpy as np
 from core.export.gltf_reader import in_root_frame
 
-from physkin_training.evaluate.layer_pokes import Surface, camera_rays, look
+from physkin_core.check.sight import Cameras, Figure, Surface
 
 
 def count(reader, outfit, motion, frame, clouds):
@@ -17,13 +17,15 @@ def count(reader, outfit, motion, frame, clouds):
     body = outfit.body_to_draw
     bones = outfit.bone_transforms(motion.positions_for(outfit.rig)[frame])
     skin = Surface(body.posed_vertices(bones).astype(np.float64), body.faces)
-    rays = camera_rays(np.concatenate([surface.vertices for surface in cloth]))
-    worn, without = look([*cloth, skin], rays), look([cloth[0], skin], rays)
+    cameras = Cameras(np.concatenate([surface.vertices for surface in cloth]))
+    worn, without = Figure([*cloth, skin], cameras).first, Figure([cloth[0], skin], cameras).first
     over = (worn.surface == 1) & worn.facing & (without.surface == 0) & without.facing
     file = [
         Surface(in_root_frame(reader.skinned(name, frame), motion, frame), reader.faces(name).astype(np.int64))
         for name in (inner, outer, "body")
     ]
-    shown = look(file, tuple(each[over] for each in rays))
+    shown = Figure(file, cameras).first
     beneath, right = shown.surface == 0, (shown.surface == 1) & shown.facing
-    return np.array([over.sum(), beneath.sum(), (~beneath & ~right).sum()])
+    return np.array(
+        [each.sum() for each in (over, cameras.agreed(over & beneath), cameras.agreed(over & ~beneath & ~right))]
+    )

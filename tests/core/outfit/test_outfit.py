@@ -18,7 +18,8 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.model.garment import vertex_normals
-from physkin_core.outfit.coverage import FROM_HEM, Cover, covered
+from physkin_core.model.surface_paths import HEM
+from physkin_core.outfit.coverage import Cover, covered
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.evaluator import Skinner
@@ -82,7 +83,7 @@ def test_hidden_vertices_are_left_out_and_no_others(over_trousers, models):
     assert 50 < hidden[0].sum() < 1500
     below, above = (layer.rest[:, :3] for layer in layers)
     closest = cKDTree(above).query(below[hidden[0]])[1]
-    assert layers[1].hem_distance[closest].min() >= FROM_HEM
+    assert layers[1].hem_distance[closest].min() >= HEM
     assert set(np.flatnonzero(~hidden[0])) <= set(shown[0]) and len(shown[0]) < len(trousers.vertices)
     assert [layer.vertex_count for layer in layers] == [len(vertices) for vertices in shown]
     faces = shown[0][layers[0].faces]

@@ -161,35 +161,12 @@ def test_close_pictures_are_of_the_garment_from_both_sides(model, tmp_path, draw
             assert np.any(picture.bounds[0] > picture.body.vertices.min(axis=0))
 
 
-def test_a_strip_is_of_the_middle_of_a_clip(model, tmp_path, drawn, monkeypatch):
-    """At its own rate, on the average body, and the camera stands still; a shorter clip is drawn as a whole."""
-    save(model, tmp_path / "band.safetensors")
-    arguments = ["contact-sheet", str(tmp_path / "band.safetensors"), "-o", str(tmp_path / "strip.png")]
-    monkeypatch.setattr(contact_sheet, "STRIP_FRAMES", 4)
-    assert cli.main([*arguments, "--strip", "walk", "--device", "cpu"]) == 0
-    clip = load_motion("walk").resampled(12.0)
-    (body,) = bodies_by_girth(BODY, 1)
-    draper = Draper(model, avatar_from_body(BODY, BODY.held_out_bodies[body]), precision="fp32")
-    first = (clip.frame_count - 4) // 2
-    for picture, frame in zip(drawn, range(first, first + 4), strict=True):
-        expected = draper.avatar.posed_vertices(draper.bone_transforms(clip.positions_for(model.rig)[frame]))
-        height = np.ptp(expected @ -clip.gravity[frame])
-        assert np.ptp(picture.body.vertices[:, 2]) == pytest.approx(height, abs=0.002), "turned upright"
-        np.testing.assert_array_equal(picture.bounds, drawn[0].bounds)
-    drawn.clear()
-    monkeypatch.setattr(contact_sheet, "STRIP_FRAMES", 1000)
-    assert cli.main([*arguments, "--strip", "run", "--device", "cpu"]) == 0
-    assert len(drawn) == load_motion("run").resampled(12.0).frame_count
-
-
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
         (["-o", "{tmp}/none/sheet.png"], "none/sheet.png"),
         (["-o", "{tmp}/sheet.jpg"], "sheet.jpg"),
         (["-o", "{tmp}/sheet.png", "--poses", "0"], "poses .* 0"),
-        (["-o", "{tmp}/sheet.png", "--strip", "walk", "--poses", "2"], "--poses does not go with --strip"),
-        (["-o", "{tmp}/sheet.png", "--strip", "walk", "--close"], "--close does not go with --strip"),
     ],
 )
 def test_errors_are_one_line(model, options, reason, tmp_path, capsys):

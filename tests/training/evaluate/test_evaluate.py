@@ -23,26 +23,29 @@ from physkin_core import (
 )
 from physkin_core.motion.loading import save_motion
 from physkin_core.motion.motion import MotionError
-from physkin_training.evaluate import minimum
+from physkin_training.evaluate import evaluate, minimum
 from physkin_training.evaluate.command import main
 from physkin_training.evaluate.evaluate import Evaluation, evaluate_model
 from physkin_training.evaluate.score_table import table
-from physkin_training.sampling.evaluation_pairs import motion_pairs
 
 CPU = torch.device("cpu")
 BODY = load_body_model()
 FIGURES = set(
     "edge_strain_percent area_strain_percent inside_percent inside_worn_percent "
-    "skin_shows_percent skin_in_sight_percent "
     "within_3mm_percent stretch_j bend_j collision_j gravity_j energy_j max_depth_mm max_depth_p999_mm pairs".split()
 )
-FOLDS = {"fold_energy_ratio", "fold_noise_ratio"}
 
 
 @pytest.fixture(scope="module")
 def model():
     """A band about the waist, tight enough to be inside some bodies in places."""
     return waist_band_model()
+
+
+@pytest.fixture(autouse=True)
+def few_looks(monkeypatch):
+    """Cameras look at one drape a row."""
+    monkeypatch.setattr(evaluate, "LOOKED_AT", 1)
 
 
 def rows_of(text):
@@ -220,24 +223,6 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     assert rows["jitter_ratio"] != pytest.approx(1, abs=1e-3)
 
 
-def test_the_frame_in_which_most_skin_shows_can_be_found_again(model):
-    """By its body and frame, alone in a batch."""
-    motion = clip("cartwheel", 6)
-    evaluation = Evaluation(model, CPU, bodies=2, poses=2, seed=0)
-    rows = evaluation.motion([motion])["clips"]["cartwheel"]
-    for worst, figure in (("worst_skin", "skin_shows_percent"), ("worst_skin_in_sight", "skin_in_sight_percent")):
-        found = rows[worst]
-        pairs = motion_pairs(motion, model.rig, bodies=2)[torch.tensor([6 * found["body"] + found["frame"]])]
-        alone = evaluation.new_figures()
-        for batch in evaluation.batches(pairs):
-            vertices = evaluation.drape(
-                batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest
-            ).detach()
-            evaluation.count_in(alone, vertices, batch)
-        assert alone.result()[figure] == pytest.approx(found["percent"], rel=0.02)
-        assert found["percent"] > rows["model"][figure] > 0
-
-
 def test_clips_and_bodies_that_cannot_be_measured_are_refused(model):
     for bodies in (0, -1, 1000):
         with pytest.raises(ValueError, match=f"bodies .*got {bodies}"):
@@ -314,8 +299,8 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     scored += [(row, motion[row]) for motion in (scores["motion"], of_measured_motion) for row in on_subset]
     for row, figures in scored:
         more = {"gradient_norm"} if row.endswith("minimum") else set()
-        more |= {"converged_percent"} if row == "minimum" else FOLDS if row in on_subset else set()
-        assert set(figures) - {"normal_error_degrees"} == FIGURES | more, "random drapes may be nowhere near minima"
+        more |= {"converged_percent"} if row == "minimum" else set()
+        assert set(figures) == FIGURES | more
         assert all(np.isfinite(value) for value in figures.values()), row
         assert figures["pairs"] == 2
     counts = {"bodies": 1, "poses": 2, "seed": 0, "pairs": 2, "influences": 4, "minimum_pairs": 2}
@@ -325,10 +310,7 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert table(scores).strip() in capsys.readouterr().out
     lines = {row[0]: row for row in rows_of(table(scores))}
     assert len(lines) == len(rows) + 4 + len(on_subset) + len(("model", "skinning", "tilted")) + 4 + len(on_subset)
-    assert (
-        f"{of_measured_motion['model_on_subset']['fold_noise_ratio']:.3f}"
-        in (lines["the model, subset of motion, made to measure"])
-    )
+    assert f"{of_measured_motion['model']['skin_seen_percent']:.3f}" in lines["the model, motion, made to measure"]
     assert "full-space minimum, subset of motion" in lines and "the model, jump, made to measure" in lines
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)

@@ -29,7 +29,7 @@ def count_in(figures, batch, pick, **options):
     vertices, terms, distance = (a[pick] for a in batch)
     band = torch.zeros(len(distance))
     energies = Energies(*terms.T, band=band, signed_distance=distance, at_worn_part=worn_parts(distance))
-    figures.add(vertices, energies, {"skin_shows_percent": 100 * distance.abs().amax(dim=1)}, **options)
+    figures.add(vertices, energies, **options)
 
 
 def worn_parts(distance):
@@ -48,18 +48,6 @@ def test_depth_percentile_is_over_each_drapes_deepest():
     assert row["max_depth_mm"] == pytest.approx(depths[-1], rel=1e-5) and depths[-1] > 1.001 * depths[-2]
     inside_worn = (batch[2] < 0) & worn_parts(batch[2])
     assert row["inside_worn_percent"] == pytest.approx(100 * inside_worn.double().mean().item(), rel=1e-5)
-
-
-@pytest.mark.parametrize("size", [12, 5])
-def test_the_worst_skin_is_remembered(size):
-    """Of all batches: how much, and of which sample."""
-    batch = drapes(12)
-    figures = Figures(GARMENT, CPU)
-    for pick in torch.arange(12).split(size):
-        count_in(figures, batch, pick)
-    shows = 100 * batch[2].abs().amax(dim=1)
-    assert figures.worst_skin == {"skin_shows_percent": (shows.max().item(), shows.argmax().item())}
-    assert figures.result()["skin_shows_percent"] == pytest.approx(shows.mean().item(), rel=1e-5)
 
 
 @pytest.mark.parametrize("sizes", [(12,), (1,) * 12, (5, 5, 2)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from types import SimpleNamespace
 
@@ -18,8 +17,7 @@ from physkin_core.cli import main
 from physkin_core.model.garment_model import Material
 from physkin_training.evaluate import simulate
 from physkin_training.evaluate.plain_model import plain_model
-from physkin_training.evaluate.simulate import DrapeSimulation, Poses, load_pose
-from physkin_training.physics import staged_drape
+from physkin_training.evaluate.simulate import DrapeSimulation
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies, posed_avatar
 
 CPU = torch.device("cpu")
@@ -70,12 +68,11 @@ def test_force_that_is_left_is_told_where_it_is(body, band):
     """A vertex before the belly, pushed in by 3 cm: nine tenths of the force are on it and its neighbours, near skin of
     the trunk. Where a minimiser that gives up leaves force is not asked: that depends on how sums are rounded."""
     garment, avatar = load_garment(band), avatar_from_body(body, body.garment_body)
-    simulation = DrapeSimulation(garment, avatar, plain_model(band, nodes=12), Material(), 1, CPU)
-    poses = Poses(body.rig.rest[None], np.array([[0.0, 0.0, -1.0]]))
+    simulation = DrapeSimulation(garment, avatar, plain_model(garment, nodes=12), Material(), 1, CPU)
     vertices = torch.tensor(garment.vertices[None], dtype=torch.float32)
     vertices[0, vertices[0, :, 0].argmax(), 0] -= 0.03
-    simulation.body.pose(torch.tensor(poses.positions, dtype=torch.float32))
-    ((few, near),) = simulation.force_left(SimpleNamespace(vertices=vertices), poses)
+    simulation.body.pose(torch.tensor(body.rig.rest[None], dtype=torch.float32))
+    ((few, near),) = simulation.force_left(SimpleNamespace(vertices=vertices), np.array([[0.0, 0.0, -1.0]]))
     assert few < 8 and near
     assert all(bone.startswith(("spine", "pelvis", "root")) for bone in near), near
 
@@ -118,34 +115,6 @@ def test_errors(band, arguments, message, capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_pose_file(body, tmp_path):
-    path = tmp_path / "pose.json"
-    joint = body.rig.joint_names[3]
-    path.write_text(json.dumps({"positions": {joint: 0.25}, "gravity": [0, 0, -2]}))
-    poses = load_pose(path, body.rig)
-    expected = body.rig.rest.copy()
-    expected[3] = 0.25
-    np.testing.assert_allclose(poses.positions, expected[None])
-    np.testing.assert_allclose(poses.gravity, [[0, 0, -1]])
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("no json", "must be JSON"),
-        ("{}", "must be JSON with an object 'positions'"),
-        ('{"positions": {"no joint": 1}}', "no joint 'no joint'"),
-        ('{"positions": {}, "speed": 1}', "unknown entries speed"),
-        ('{"positions": {}, "gravity": [0, 0, 0]}', "gravity"),
-    ],
-)
-def test_a_bad_pose_file_is_rejected(body, tmp_path, text, message):
-    path = tmp_path / "pose.json"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        load_pose(path, body.rig)
-
-
 def test_posed_avatars_are_where_posed_bodies_are(body):
     """The same body in the same poses; each copy at its own place on the grid."""
     poses = load_motion("walk").positions_for(body.rig)[[0, 30]].astype(np.float64)
@@ -165,12 +134,12 @@ def test_stages_carry_the_garment_along(body, band, monkeypatch):
     garment = load_garment(band)
     avatar = avatar_from_body(body, body.garment_body)
     simulation = DrapeSimulation(garment, avatar, plain_model(garment, nodes=12), Material(), 1, CPU)
-    poses = Poses(body.rig.joint_positions({"spine05_x": 0.4, "spine03_x": 0.3})[None], np.array([[0.0, 0, -1]]))
+    bent, down = body.rig.joint_positions({"spine05_x": 0.4, "spine03_x": 0.3})[None], np.array([[0.0, 0, -1]])
     options = {"iterations": 1, "tolerance": 1e9}  # converged where it starts
-    monkeypatch.setattr(staged_drape, "ON_THE_WAY", options)
-    direct = simulation.run(poses, **options).vertices[0].numpy()
-    rest = simulation.run(Poses(body.rig.rest[None], poses.gravity), **options).vertices[0].numpy()
-    staged = simulation.run(poses, stages=3, **options).vertices[0].numpy()
+    monkeypatch.setattr(simulate, "ON_THE_WAY", options)
+    direct = simulation.run(bent, down, **options).vertices[0].numpy()
+    rest = simulation.run(body.rig.rest[None], down, **options).vertices[0].numpy()
+    staged = simulation.run(bent, down, stages=3, **options).vertices[0].numpy()
     moved = np.linalg.norm(direct - rest, axis=1).mean()
     assert moved > 0.01
     assert np.linalg.norm(staged - direct, axis=1).max() < 1e-4

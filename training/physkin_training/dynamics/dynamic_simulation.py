@@ -6,9 +6,7 @@ Dimensions: `B` samples, `n` garment vertices, `d` degrees of freedom, `T` frame
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -22,15 +20,15 @@ from physkin_training.dynamics.scenes import scene_wind
 from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.motion import Dynamics
 from physkin_training.physics.full_space_solver import FullSpaceSolver
-from physkin_training.physics.newton_solver import Solution
 
-__all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "TOLERANCE", "DynamicSimulation", "Frame"]
+__all__ = ["A_LONG_TIME", "LARGEST_EXTENT", "DynamicSimulation"]
 
-TOLERANCE = 1e-3
-"""Residual force of a step over the garment's weight."""
+TOLERANCE, ITERATIONS, PRODUCTS = 1e-3, 3, 48
+"""Residual force of a step over the garment's weight; Newton steps in a step of time, and products of the second
+derivative in one of these, at most."""
 FIRST_TOLERANCE, FIRST_ITERATIONS = 5e-3, 80
 """Of the drape at rest that a scene begins with."""
-SETTLING_STEP, SETTLING_STEPS, SETTLING_ITERATIONS, SETTLED = 0.05, 100, 6, 2e-4
+SETTLING_STEP, SETTLING_STEPS, SETTLING_ITERATIONS, SETTLING_PRODUCTS, SETTLED = 0.05, 100, 6, 96, 2e-4
 """Cloth whose minimum is not reached then comes to rest in at most so many steps of so many seconds, each from standing
 still, until no vertex moves farther [m]: else it would swing by itself when the scene begins."""
 UNSETTLED = 0.02
@@ -43,25 +41,14 @@ A_LONG_TIME = 1e3
 """A step [s] in which inertia is nothing."""
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Frame `index` of all samples: vertices (B, n, 3) [m] in the root frames; energies (B,) [J] by term, those of
-    motion as if the frame were one step from the two before; gradient norm (B,) [N] and Newton steps (B,) there."""
-
-    index: int
-    vertices: torch.Tensor
-    energies: dict[str, torch.Tensor]
-    gradient_norm: torch.Tensor
-    iterations: torch.Tensor
-
-
 class DynamicSimulation:
     """A garment on every body in every scene: sample `s` is body `s // scenes` in scene `s % scenes`.
 
-    bodies: (S, c) shape coefficients of `body_model`. scenes: motions of one length and rate. steps: in a frame.
-    held_above: [m] in the canonical pose; vertices above, as those of a bodice, stay as the model drapes them. fit: as
-    in `Draper`. `lost_at` (B,) is the first frame in which a sample was nowhere, `frame_count` for the others.
-    Raises ValueError for scenes of different lengths or rates, and as `checked_fit`.
+    bodies: (S, c) shape coefficients of `body_model`, each in a garment made to measure. scenes: motions of one length
+    and rate. steps: in a frame. held_above: [m] in the canonical pose; vertices above, as those of a bodice, stay as
+    the model drapes them. `lost_at` (B,) is the first frame in which a sample was nowhere, `frame_count` for the
+    others.
+    Raises ValueError for scenes of different lengths or rates.
     """
 
     def __init__(
@@ -73,9 +60,7 @@ class DynamicSimulation:
         device: torch.device,
         *,
         steps: int = 4,
-        dynamics: Dynamics | None = None,
         held_above: float = float("inf"),
-        fit: float | None = None,
     ) -> None:
         if len({(scene.frame_count, scene.rate_hz) for scene in scenes}) != 1:
             raise ValueError("scenes that are simulated together must have the same number of frames and rate")
@@ -94,65 +79,49 @@ class DynamicSimulation:
         turns = [Rotation.from_quat(motion.root_orientation).as_matrix() for motion in fine]
         self._turn = tensor(turns, torch.float64)
         self._place = tensor([motion.root_position for motion in fine], torch.float64)
-        dynamics = dynamics or Dynamics()
+        dynamics = Dynamics()
         felt = [dynamics.effective_gravity(turn, scene_wind(motion)) for turn, motion in zip(turns, fine)]
         self._gravity = tensor(felt)
 
         self.lost_at = torch.full((self.samples,), self.frame_count, device=device)
-        self.dressed = DressedSamples(model, body_model, bodies, self.body, fit=fit)
+        self.dressed = DressedSamples(model, body_model, bodies, self.body)
         self.potential = self.dressed.potential(self.step, dynamics)
-        self.frame_potential = self.dressed.potential(1 / rate, dynamics)
         self._held = torch.as_tensor(model.garment.vertices[:, 2] > held_above, device=device)
         self._holds = bool(self._held.any())
         self._solver = FullSpaceSolver(self.potential, held=self._held)
         self.force_scale = self._solver.force_scale
         self._step_solver = StepSolver(self._solver.hessian, ~self._held)
 
-    def run(
-        self,
-        watch: Callable[[Frame], None],
-        *,
-        tolerance: float = TOLERANCE,
-        iterations: int = 3,
-        products: int = 48,
-        seconds: float = float("inf"),
-    ) -> int:
-        """Simulate, telling `watch` every frame, and return how many there were.
+    def run(self, watch: Callable[[int, torch.Tensor], None]) -> None:
+        """Simulate, telling `watch` the number of every frame and its vertices (B, n, 3) in the root frames.
 
-        tolerance: of a step's residual force over the weight. iterations: Newton steps in a step of time, at most.
-        products: of the second derivative in one Newton step, at most. seconds: after which no further frame is begun.
-        A sample that is `lost` goes on from the model's drape.
+        A sample that is lost goes on from the model's drape.
         """
-        until = time.monotonic() + seconds
         with torch.no_grad():
-            solution = self.at_rest()
-            here = before_last = last_frame = self._to_world(solution.vertices, 0)
+            vertices = self.at_rest()
+            here = self._to_world(vertices, 0)
             velocity, acceleration = torch.zeros_like(here), torch.zeros_like(here)
-            watch(self._frame(0, solution, solution.iterations, last_frame, before_last))
+            watch(0, vertices)
             for frame in range(1, self.frame_count):
-                if time.monotonic() > until:
-                    return frame
-                taken = torch.zeros(self.samples, dtype=torch.int64, device=self.device)
                 for step in range((frame - 1) * self.steps + 1, frame * self.steps + 1):
                     gravity = self._pose(step)
-                    before = self._to_root(here, step)
-                    forecast = self._to_root(here + self.step * velocity, step)
-                    self.potential.begin(before, forecast)
-                    start = self._to_root(here + self.step * velocity + self.step**2 * acceleration, step)
+                    forecast = here + self.step * velocity
+                    self.potential.begin(self._to_root(here, step), self._to_root(forecast, step))
+                    start = self._to_root(forecast + self.step**2 * acceleration, step)
                     solution = self._step_solver.minimise(
                         self._with_held(start, step),
                         *(gravity, *self.dressed.contact),
-                        tolerance=tolerance * self.force_scale,
-                        iterations=iterations,
-                        products=products,
+                        tolerance=TOLERANCE * self.force_scale,
+                        iterations=ITERATIONS,
+                        products=PRODUCTS,
                     )
-                    there = self._to_world(solution.vertices, step)
+                    vertices = solution.vertices
+                    there = self._to_world(vertices, step)
                     last, velocity, here = velocity, (there - here) / self.step, there
                     velocity = velocity * (FASTEST / velocity.norm(dim=2, keepdim=True).clamp_min(FASTEST))
                     settled = solution.gradient_norm < UNSETTLED * self.force_scale
                     acceleration = settled[:, None, None] * (velocity - last) / self.step
-                    taken += solution.iterations
-                lost = ~(solution.vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT)  # or not finite
+                lost = ~(vertices.abs().amax(dim=(1, 2)) < LARGEST_EXTENT)  # or not finite
                 if lost.any():
                     begun = self._to_world(self._model_drape(step), step)
                     here = torch.where(lost[:, None, None], begun, here)
@@ -160,61 +129,50 @@ class DynamicSimulation:
                         torch.where(lost[:, None, None], 0.0, field) for field in (velocity, acceleration)
                     )
                     self.lost_at = torch.where(lost, self.lost_at.clamp_max(frame), self.lost_at)
-                watch(self._frame(frame, solution, taken, last_frame, before_last))
-                last_frame, before_last = here, last_frame
-        return self.frame_count
+                watch(frame, vertices)
 
-    def at_rest(self) -> Solution:
-        """Drapes at rest in the first frame, from the model's: minimised, and then settled."""
+    def at_rest(self) -> torch.Tensor:
+        """Drapes (B, n, 3) at rest in the first frame, from the model's: minimised, and then settled."""
         gravity = self._pose(0)
         local = self._model_drape(0)
         time_step = self.potential.time_step
         step, time_step.seconds = time_step.seconds, A_LONG_TIME
         self.potential.begin(local, local)
-        solution = self._solver.minimise(
+        vertices = self._solver.minimise(
             local, gravity, *self.dressed.contact, tolerance=FIRST_TOLERANCE, iterations=FIRST_ITERATIONS
-        )
+        ).vertices
         time_step.seconds = SETTLING_STEP
         for _ in range(SETTLING_STEPS):
-            before = solution.vertices
+            before = vertices
             self.potential.begin(before, before)
-            solution = self._step_solver.minimise(
+            vertices = self._step_solver.minimise(
                 before,
                 *(gravity, *self.dressed.contact),
                 tolerance=TOLERANCE * self.force_scale,
                 iterations=SETTLING_ITERATIONS,
-                products=96,
-            )
-            if (solution.vertices - before).abs().max() < SETTLED:
+                products=SETTLING_PRODUCTS,
+            ).vertices
+            if (vertices - before).abs().max() < SETTLED:
                 break
         time_step.seconds = step
-        return solution
+        return vertices
 
     def _model_drape(self, step: int) -> torch.Tensor:
         """What the model makes of the bodies posed last, (B, n, 3)."""
         positions = self._positions[self.scene, step]
-        return self.dressed.skinned(*self.dressed.draped(positions, self.gravity(step), self._posed))
+        return self.dressed.skinned(*self.dressed.draped(positions, self._gravity_at(step), self._posed))
 
     def _with_held(self, local: torch.Tensor, step: int) -> torch.Tensor:
         if not self._holds:
             return local
         return torch.where(self._held[:, None], self._model_drape(step), local)
 
-    def _frame(
-        self, index: int, solution: Solution, taken: torch.Tensor, last: torch.Tensor, before_last: torch.Tensor
-    ) -> Frame:
-        """last, before_last: (B, n, 3) in the world, the two frames before."""
-        step = index * self.steps
-        self.frame_potential.begin(self._to_root(last, step), self._to_root(2 * last - before_last, step))
-        energies, _ = self.frame_potential.evaluate(solution.vertices, self.gravity(step), *self.dressed.contact)
-        return Frame(index, solution.vertices, energies, solution.gradient_norm, taken)
-
     def _pose(self, step: int) -> torch.Tensor:
         """Pose the bodies, and return gravity (B, 3) in the root frames."""
         self._posed = self.dressed.pose(self._positions[self.scene, step])
-        return self.gravity(step)
+        return self._gravity_at(step)
 
-    def gravity(self, step: int) -> torch.Tensor:
+    def _gravity_at(self, step: int) -> torch.Tensor:
         """With the pull of the wind, (B, 3) in the root frames."""
         return self._gravity[self.scene, step]
 

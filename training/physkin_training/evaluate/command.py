@@ -110,8 +110,7 @@ def _score_dynamics(arguments: argparse.Namespace) -> dict:
     if not arguments.model or arguments.outfit:
         raise ValueError("cloth in motion is measured of one garment: physkin evaluate GARMENT --dynamic FOLDER")
     model = load_garment_model(arguments.model)
-    references = references_of(model.name, arguments.dynamic)
-    scores = evaluate_dynamics(model, references, resolve_device(arguments.device))
+    scores = evaluate_dynamics(model, references_of(model.name, arguments.dynamic))
     print(dynamics_table(scores))
     return scores
 
@@ -133,6 +132,6 @@ def _score_outfits(arguments: argparse.Namespace) -> dict:
         if text in outfits:
             raise ValueError(f"--outfit {text} is given twice")
         outfits[text] = parse_outfit(text)
-    scores = evaluate_outfits(outfits, motions, resolve_device(arguments.device), **options)
+    scores = evaluate_outfits(outfits, motions, **options)
     print(outfit_table(scores))
     return scores

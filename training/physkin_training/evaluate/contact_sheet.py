@@ -2,7 +2,7 @@
 
 `physkin contact-sheet MODEL -o PNG`. Half the poses are uniform in the joint limits, half are frames of the shipped
 clips, turned so that gravity points down; or all are frames of clips that were named. Each cell's caption gives its
-edge strain. Or, with `--strip CLIP`, frames of one clip one after the other, in which nothing should swim.
+edge strain.
 Dimensions: `P` pairs, `B` samples of a batch, `n` garment vertices, `V` body vertices.
 """
 
@@ -34,7 +34,7 @@ from physkin_training.evaluate.evaluate import Evaluation
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 
-__all__ = ["Drapes", "chosen_poses", "command_parser", "drape_all", "draw_sheet", "draw_strip"]
+__all__ = ["Drapes", "chosen_poses", "command_parser", "drape_all", "draw_sheet"]
 
 BODIES = ("thin", "average", "heavy")
 """The held-out ones with the least, the median and the most volume for their height squared."""
@@ -47,8 +47,6 @@ WIDTH, CLOSE_WIDTH = 170, 320
 POSES = 12
 ITERATIONS = 40
 """Of Newton's method on the way to the minimum: energy hardly falls any more, and the eye sees no difference."""
-STRIP_FRAMES, STRIP_RATE, STRIP_COLUMNS = 24, 12.0, 6
-"""Of a strip: so many frames at most, a second, and a row."""
 PIXELS_HIGH = 1.25
 """Height of a picture, relative to its width."""
 LIGHT_PATHS = 8
@@ -113,8 +111,7 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     for batch in evaluation.batches(pairs):
         bodies.append(evaluation.posed_bodies.vertices[: batch.count].cpu().numpy())
         with torch.no_grad():
-            inputs = (batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
-            drapes = {"model": evaluation.drape(*inputs)}
+            drapes = {"model": evaluation.own_drape(batch)}
         if minimum:
             drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch, iterations=ITERATIONS).vertices
         for row, vertices in drapes.items():
@@ -162,26 +159,6 @@ def draw_sheet(
     return contact_sheet(pictures, columns=columns, captions=texts, gap=4), drapes.figures
 
 
-def draw_strip(
-    model: GarmentModel, device: torch.device, motion: Motion, *, fit: float | None = None
-) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
-    """`STRIP_FRAMES` frames from the middle of a clip (all, if it is shorter) on the average body, otherwise as above.
-
-    The camera stands still, and every frame is draped by itself."""
-    clip = motion.resampled(STRIP_RATE)
-    frames = range(clip.frame_count)
-    frames = frames[max(0, (len(frames) - STRIP_FRAMES) // 2) :][:STRIP_FRAMES]
-    pairs = motion_pairs(clip, model.rig, bodies=1)[torch.tensor(frames)]
-    bodies = bodies_by_girth(load_body_model(), 1)
-    evaluation = Evaluation(model, device, bodies=bodies, poses=len(frames), seed=0, fit=fit)
-    drapes = _stood(drape_all(evaluation, pairs, minimum=False), pairs.gravity)
-    cloths = drapes.garments["model"]
-    shown = cloths.reshape(-1, 3)
-    pictures = [_picture(model, body, cloth, shown, close=True) for body, cloth in zip(drapes.bodies, cloths)]
-    texts = [f"{k / STRIP_RATE:.2f} s, {strain:.1f} %" for k, strain in zip(frames, drapes.strains["model"])]
-    return contact_sheet(pictures, columns=STRIP_COLUMNS, captions=texts, gap=4), drapes.figures
-
-
 def _stood(drapes: Drapes, gravity: torch.Tensor) -> Drapes:
     """Turned so that gravity (P, 3) points down."""
     from scipy.spatial.transform import Rotation
@@ -218,7 +195,9 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin contact-sheet", description=__doc__.splitlines()[0])
     parser.add_argument("model", help="garment model file, or the name of a shipped one")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PNG", help="picture to write")
-    parser.add_argument("--poses", type=int, help=f"poses on each of the three bodies (default {POSES})")
+    parser.add_argument(
+        "--poses", type=int, default=POSES, help="poses on each of the three bodies (default %(default)s)"
+    )
     parser.add_argument(
         "--motion",
         nargs="+",
@@ -228,30 +207,12 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--close", action="store_true", help="fill the pictures with the garment, from the front and the back"
     )
-    parser.add_argument(
-        "--strip",
-        metavar="CLIP",
-        help=f"draw the middle {STRIP_FRAMES} frames of a clip instead, at {STRIP_RATE:g} Hz, on the average body",
-    )
     add_options(parser, "fit")
     parser.add_argument(
         "--minimum", action="store_true", help="draw the full-space minimum beside the model (minutes on a CPU)"
     )
     parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
     return parser
-
-
-def _check_alone(arguments: argparse.Namespace) -> None:
-    """Raises ValueError for options that say nothing of a strip."""
-    for name in ("poses", "motion", "minimum", "close"):
-        if getattr(arguments, name) not in (None, False):
-            raise ValueError(
-                f"--{name} does not go with --strip, which draws frames of one clip; leave one of them out"
-            )
-
-
-def _clip(name: str) -> Motion:
-    return load_motion(name, watch=progress_line(f"reading {name}"))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -262,14 +223,9 @@ def main(argv: list[str] | None = None) -> int:
             raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
         check_folder(arguments.output)
         model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
-        if arguments.strip:
-            _check_alone(arguments)
-            sheet, rows = draw_strip(model, device, _clip(arguments.strip), fit=arguments.fit)
-        else:
-            given = {name: getattr(arguments, name) for name in ("fit", "minimum", "close")}
-            motions = [_clip(name) for name in arguments.motion or ()]
-            poses = POSES if arguments.poses is None else arguments.poses
-            sheet, rows = draw_sheet(model, device, poses=poses, motions=motions, **given)
+        motions = [load_motion(name, watch=progress_line(f"reading {name}")) for name in arguments.motion or ()]
+        given = {name: getattr(arguments, name) for name in ("poses", "fit", "minimum", "close")}
+        sheet, rows = draw_sheet(model, device, motions=motions, **given)
         save_png(arguments.output, sheet)
     except (ValueError, PictureError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -8,47 +8,42 @@ Dimensions: `T` frames, `k` points below the hips, `n` garment vertices. Metres,
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.draper import Draper
 from physkin_core.quality import edge_strain
-from physkin_core.sway.frame_input import FrameInput
-from physkin_training.dynamics.fold_curvature import NEIGHBOURS, FoldCurvature
-from physkin_training.dynamics.frame_potential import frame_potentials
+from physkin_core.rig.rig import Rig
 from physkin_training.dynamics.reference import Reference, load_reference
-from physkin_training.dynamics.scenes import ACTED_SCENES, ROOT_SCENES, scene_wind
-from physkin_training.dynamics.swing_figures import hem_velocity, octaves, settling, swing, turning
+from physkin_training.dynamics.scenes import scene_wind
 from physkin_training.energies.motion import Dynamics
 
-__all__ = ["evaluate_dynamics", "played", "references_of"]
+__all__ = ["evaluate_dynamics", "played", "references_of", "settling", "swing"]
 
-RATES = (15.0, 30.0, 60.0, 120.0)
-LOST = 0.2
-"""Share of messages lost."""
-POTENTIAL_EVERY = 24
-STANDING = 3.0
-"""Seconds of standing after the stop, at whose end cloth should hang still."""
-STREAMS = 5
+LOWEST = 0.34
+"""Share of the points, the lowest, that are the hem."""
+SETTLED = 0.1
+"""Cloth has settled when it stays within this share of the simulation's largest displacement after the stop."""
+STEADY_FROM = 1.6
+"""[s] from the beginning of a scene until the root's swing is steady."""
+KINDS = ("simulated", "quasi_static", "swaying")
 
 
 @dataclass(frozen=True)
 class Played:
-    """One reference on one body: points (T, k, 3) of the simulation and of drapes without and with sway."""
+    """One reference on one body: points (T, k, 3) of the simulation and of drapes without and with sway, and the mean
+    edge strain of the latter two [%]."""
 
-    reference: Reference
-    body: int
-    draper: Draper
+    motion: Motion
     simulated: np.ndarray
     quasi_static: np.ndarray
     swaying: np.ndarray
@@ -63,96 +58,87 @@ def references_of(garment: str, folder: Path) -> list[Reference]:
     return [load_reference(path) for path in paths]
 
 
-def played(draper: Draper, motion: Motion, *, kept: Sequence[int] | None = None) -> np.ndarray:
-    """Whole drapes (T, n, 3) float32 with sway, of all frames or those `kept`, from hanging still."""
-    positions, roots, wind = motion.positions_for(draper.model.rig), motion_roots(motion), scene_wind(motion)
+def played(draper: Draper, motion: Motion) -> np.ndarray:
+    """Whole drapes (T, n, 3) float32 with sway, from hanging still."""
     draper.reset()
     drapes = []
-    for k in range(motion.frame_count) if kept is None else kept:
-        draper.wind = wind[k]
-        drapes.append(draper.drape(positions[k], time=k / motion.rate_hz, root=roots[k])[:, :3])
+    for k, (positions, wind) in enumerate(zip(motion.positions_for(draper.model.rig), scene_wind(motion))):
+        draper.wind = wind
+        drapes.append(draper.drape(positions, time=k / motion.rate_hz, root=motion.root[k])[:, :3])
     draper.wind = np.zeros(3)
     return np.stack(drapes)
 
 
-def _still(draper: Draper, motion: Motion) -> np.ndarray:
-    """Whole drapes (T, n, 3) float32 without sway, of all frames."""
-    turn = Rotation.from_quat(motion.root_orientation).as_matrix()
-    gravity = Dynamics().effective_gravity(turn, scene_wind(motion)).astype(np.float32)
-    poses = zip(motion.positions_for(draper.model.rig), gravity)
-    return np.stack([cloud[:, :3] for cloud in draper.layer.drape(poses)])
-
-
-def motion_roots(motion: Motion) -> np.ndarray:
-    """(T, 7) float64, as `Draper.drape` takes roots."""
-    return np.concatenate([motion.root_position, motion.root_orientation], axis=1).astype(np.float64)
-
-
-def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference], device: torch.device) -> dict:
+def evaluate_dynamics(model: GarmentModel, references: Sequence[Reference]) -> dict:
     """Figures of a garment over references, as plain data: `dynamic`, those of all; `scenes`, by name; `counts`.
 
-    In `dynamic`: `rmse_mm`, `moving_rmse_mm`, `velocity_rmse_ms`, `potential_ratio` (incremental potential over the
-    simulation's, gravity counted from there), with the same of drapes without sway under `quasi_static`; `at_rest_mm`;
-    `stop` and `turn` with overshoot and settling, `turn` also with twist and flare, `swings` with amplitude and phase
-    by frequency, each `simulated`, `quasi_static` and `swaying`; of the last two, in clips, `octaves` of the hem's
-    velocity and `fold_octaves` of the folds' curvature;
-    `rate_divergence_mm`, `drop_divergence_mm`; `strain_percent`, `added_strain_points`; `still_mm`, how far cloth still
-    moves in a frame three seconds after a stop; `added_step_us` that time and root add to a step of the evaluator.
+    In `dynamic`: `rmse_mm`, `moving_rmse_mm`, `at_rest_mm`, `strain_percent`, `added_strain_points`, with the first two
+    of drapes without sway under `quasi_static`; `stop` and `turn` with overshoot and settling, `swings` with amplitude
+    and phase by frequency, each `simulated`, `quasi_static` and `swaying`.
     """
     body_model = load_body_model()
-    drapers = {
-        coefficients.tobytes(): Draper(model, avatar_from_body(body_model, coefficients))
-        for coefficients in np.unique(np.concatenate([reference.bodies for reference in references]), axis=0)
-    }
-    rows = [
-        _play(drapers[coefficients.tobytes()], reference, body)
-        for reference in references
-        for body, coefficients in enumerate(reference.bodies)
-    ]
-    scenes: dict = {}
+    bodies = np.unique(np.concatenate([reference.bodies for reference in references]), axis=0)
+    drapers = {body.tobytes(): Draper(model, avatar_from_body(body_model, body)) for body in bodies}
+    scenes, by_kind = {}, {}
     for reference in references:
-        of_scene = [row for row in rows if row.reference is reference]
-        scenes[reference.motion.name] = _figures(of_scene) | _potentials(of_scene, model, body_model, device)
-    swaying = [{name: scene[name] for name in sorted(scene.keys() - {"quasi_static"})} for scene in scenes.values()]
-    total: dict = _mean(swaying) | {"quasi_static": _mean([scene["quasi_static"] for scene in scenes.values()])}
-    total |= _swinging(rows)
-    middle = rows[len(references[0].bodies) // 2].draper
-    total |= _robustness(middle, [reference.motion for reference in references])
-    total["added_step_us"] = _added_to_step(middle, references[0].motion)
-    counts = {"scenes": len(scenes), "sequences": len(rows), "frames": sum(len(row.simulated) for row in rows)}
-    return {"dynamic": total, "scenes": scenes, "counts": counts}
+        name = reference.motion.name
+        rows = [_play(drapers[body.tobytes()], reference, k) for k, body in enumerate(reference.bodies)]
+        scenes[name] = _figures(rows)
+        if name.startswith("swing-"):
+            rate = float(name.partition("-")[2])
+            by_kind[name] = {
+                kind: _mean([swing(getattr(row, kind), row.motion, rate) for row in rows]) for kind in KINDS
+            }
+        elif name in ("stop", "turn"):
+            by_kind[name] = {
+                kind: _mean([settling(getattr(row, kind), row.simulated, row.motion) for row in rows]) for kind in KINDS
+            }
+    total = _mean([{k: v for k, v in scene.items() if k != "quasi_static"} for scene in scenes.values()])
+    total |= {"quasi_static": _mean([scene["quasi_static"] for scene in scenes.values()])}
+    total |= {"swings": {f"{float(k[6:]):g}": v for k, v in by_kind.items() if k.startswith("swing-")}}
+    total |= {name: by_kind[name] for name in ("stop", "turn") if name in by_kind}
+    frames = sum(int(reference.frames.sum()) for reference in references)
+    sequences = sum(len(reference.bodies) for reference in references)
+    return {
+        "dynamic": total,
+        "scenes": scenes,
+        "counts": {"scenes": len(scenes), "sequences": sequences, "frames": frames},
+    }
 
 
 def _play(draper: Draper, reference: Reference, body: int) -> Played:
-    motion = reference.motion
-    count = int(reference.frames[body])
-    still = _still(draper, motion)[:count]
-    swaying = played(draper, motion, kept=range(count))
-    garment = draper.rest_garment
-    strains = tuple(float(np.mean(edge_strain(garment, drapes[::10]))) for drapes in (still, swaying))
-    points = reference.vertices
-    simulated = reference.points[body][:count]
-    return Played(reference, body, draper, simulated, still[:, points], swaying[:, points], strains)
+    motion, simulated = reference.motion, reference.simulated(body)
+    turn = Rotation.from_quat(motion.root_orientation).as_matrix()
+    gravity = Dynamics().effective_gravity(turn, scene_wind(motion)).astype(np.float32)
+    still = draper.layer.drape(zip(motion.positions_for(draper.model.rig), gravity))
+    drapes = [np.stack([cloud[:, :3] for cloud in still]), played(draper, motion)]
+    drapes = [each[: len(simulated)] for each in drapes]
+    points = swinging_vertices(draper.model.garment, draper.model.rig)
+    strains = tuple(float(np.mean(edge_strain(draper.rest_garment, each[::10]))) for each in drapes)
+    return Played(motion, *(each[:, points].astype(np.float64) for each in (simulated, *drapes)), strains)
 
 
-def _figures(rows: list[Played]) -> dict:
-    def of(drapes: Callable[[Played], np.ndarray]) -> dict[str, float]:
-        away = [row.simulated.astype(np.float64) - drapes(row) for row in rows]
-        speeds = [np.diff(each, axis=0) * row.reference.motion.rate_hz for each, row in zip(away, rows)]
+def swinging_vertices(garment: Garment, rig: Rig) -> np.ndarray:
+    """Vertices below the hips at rest, (k,); all where there are none."""
+    hips = [k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")]
+    below = np.flatnonzero(garment.vertices[:, 2] < rig.heads[hips, 2].min()) if hips else np.empty(0, dtype=int)
+    return below if len(below) else np.arange(len(garment.vertices))
+
+
+def _figures(rows: Sequence[Played]) -> dict:
+    def of(kind: str) -> dict[str, float]:
+        away = [getattr(row, kind) - row.simulated for row in rows]
         return {
             "rmse_mm": 1000 * float(np.mean([_rms(each) for each in away])),
             "moving_rmse_mm": 1000 * float(np.mean([_rms(each - each[0]) for each in away])),
-            "velocity_rmse_ms": float(np.mean([_rms(each) for each in speeds])),
         }
 
-    swaying, still = of(lambda row: row.swaying), of(lambda row: row.quasi_static)
-    strains = np.mean([row.strains for row in rows], axis=0)
-    at_rest = [_rms((row.simulated[:1] - row.quasi_static[:1]).astype(np.float64)) for row in rows]
-    return swaying | {
-        "at_rest_mm": 1000 * float(np.mean(at_rest)),
-        "strain_percent": float(strains[1]),
-        "added_strain_points": float(strains[1] - strains[0]),
-        "quasi_static": still,
+    still, swaying = np.mean([row.strains for row in rows], axis=0)
+    return of("swaying") | {
+        "at_rest_mm": 1000 * float(np.mean([_rms(row.quasi_static[0] - row.simulated[0]) for row in rows])),
+        "strain_percent": float(swaying),
+        "added_strain_points": float(swaying - still),
+        "quasi_static": of("quasi_static"),
     }
 
 
@@ -161,113 +147,44 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt((values**2).sum(axis=-1).mean()))
 
 
-def _potentials(rows: list[Played], model: GarmentModel, body_model: BodyModel, device: torch.device) -> dict:
-    """`potential_ratio` with sway, and `quasi_static` without it, on the middle body."""
-    row = rows[len(rows) // 2]
-    reference, motion = row.reference, row.reference.motion
-    frames = np.arange(POTENTIAL_EVERY, len(row.simulated), POTENTIAL_EVERY)
-    simulated = {name: values[row.body][frames] for name, values in reference.energies.items()}
-    below = simulated["gravity"]
-    whole = sum(simulated.values()) - below
-    ratios = []
-    for drapes in (played(row.draper, motion), _still(row.draper, motion)):
-        coefficients = reference.bodies[row.body]
-        found = frame_potentials(model, body_model, coefficients, motion, drapes, frames, device)
-        ratios.append(float((sum(found.values()) - below).sum() / whole.sum()))
-    figures = _figures(rows)["quasi_static"] | {"potential_ratio": ratios[1]}
-    return {"potential_ratio": ratios[0], "quasi_static": figures}
-
-
-def _swinging(rows: list[Played]) -> dict:
-    kinds = ("simulated", "quasi_static", "swaying")
-    found: dict = {"swings": {}}
-    clips = [row for row in rows if row.reference.motion.name not in (*ROOT_SCENES, *ACTED_SCENES)]
-    if clips:
-        by_clip = [_octaves(row) for row in clips]
-        for name in sorted(set.intersection(*map(set, by_clip))):
-            found[name] = {kind: _mean([each[name][kind] for each in by_clip]) for kind in kinds[1:]}
-    for name in sorted({row.reference.motion.name for row in rows}):
-        of_scene = [row for row in rows if row.reference.motion.name == name]
-        if name.startswith("swing-"):
-            rate = float(name.partition("-")[2])
-            found["swings"][f"{rate:g}"] = {
-                kind: _mean([swing(getattr(row, kind), row.reference.motion, rate) for row in of_scene])
-                for kind in kinds
-            }
-        elif name in ("stop", "turn"):
-            found[name] = {kind: _mean([_ended(row, getattr(row, kind)) for row in of_scene]) for kind in kinds}
-    return found
-
-
-def _octaves(row: Played) -> dict[str, dict[str, dict[str, float]]]:
-    """By kind of drape, of the hem's velocity and, if there are points enough, of the folds' curvature."""
-    signals = {"octaves": hem_velocity}
-    if len(row.reference.vertices) > NEIGHBOURS:
-        signals["fold_octaves"] = FoldCurvature(row.draper.rest_garment, row.reference.vertices)
-    found = {}
-    for name, signal in signals.items():
-        simulated = signal(row.simulated)
-        found[name] = {
-            kind: octaves(signal(getattr(row, kind)), simulated, row.reference.motion.rate_hz)
-            for kind in ("quasi_static", "swaying")
-        }
-    return found
-
-
-def _ended(row: Played, points: np.ndarray) -> dict[str, float]:
-    settled = settling(points, row.simulated, row.reference.motion)
-    return settled | turning(points) if row.reference.motion.name == "turn" else settled
-
-
-def _mean(values: list[dict[str, float]]) -> dict[str, float]:
+def _mean(values: Sequence[dict[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([value[name] for value in values])) for name in values[0]}
 
 
-def _robustness(draper: Draper, motions: list[Motion]) -> dict[str, float]:
-    rates, drops = [], []
-    generator = np.random.default_rng(0)
-    for motion in motions:
-        offsets = []
-        for at_rate in map(motion.resampled, RATES):
-            frames = np.rint(np.arange(0, 1, 1 / 30) * (at_rate.frame_count - 1)).astype(int)
-            # frames of another rate are not at quite the same times: less what drapes without sway differ by
-            offsets.append(played(draper, at_rate)[frames] - _still(draper, at_rate)[frames])
-        rates += [_rms(each - offsets[-1]) for each in offsets[:-1]]
-        kept = np.flatnonzero(generator.random(motion.frame_count) >= LOST)
-        drops.append(_rms(played(draper, motion, kept=kept) - played(draper, motion)[kept]))
-    stop = next((motion for motion in motions if motion.name == "stop"), motions[0])
-    more = np.minimum(np.arange(stop.frame_count + round(60 * STANDING)), stop.frame_count - 1)
-    arrays = ("positions", "root_orientation", "root_position")
-    standing = replace(stop, **{name: getattr(stop, name)[more] for name in arrays})
-    stopped = int(np.flatnonzero(np.diff(stop.root_position[:, 0]) > 1e-6).max(initial=0))
-    last = stopped + round(60 * STANDING)
-    two = played(draper, standing, kept=range(last + 2))[-2:]
+def swing(points: np.ndarray, motion: Motion, rate_hz: float) -> dict[str, float]:
+    """Amplitude [mm] of the hem of points (T, k, 3) sideways against the root, and phase [degrees] after the root's
+    displacement, at the rate of the root."""
+    sideways = _hem(points)[:, :, 1].mean(axis=1)
+    times = np.arange(len(sideways)) / motion.rate_hz
+    steady = times >= STEADY_FROM
+    basis = np.stack([np.sin(2 * np.pi * rate_hz * times), np.cos(2 * np.pi * rate_hz * times), np.ones_like(times)], 1)
+
+    def fitted(signal: np.ndarray) -> complex:
+        sine, cosine, _ = np.linalg.lstsq(basis[steady], signal[steady], rcond=None)[0]
+        return complex(sine, cosine)
+
+    cloth, root = fitted(sideways), fitted(motion.root_position[: len(sideways), 1].astype(np.float64))
+    return {"amplitude_mm": 1000 * abs(cloth), "phase_degrees": float(np.degrees(np.angle(cloth / root)))}
+
+
+def settling(points: np.ndarray, simulated: np.ndarray, motion: Motion) -> dict[str, float]:
+    """After the root's stop: the largest displacement [mm] of the hem of points (T, k, 3) from where it ends, and the
+    time [s] from which it stays within a tenth of the simulation's largest."""
+    moves = np.abs(np.diff(motion.root[: len(points)], axis=0)).max(axis=1)
+    stop = int(np.flatnonzero(moves > 1e-5).max(initial=0)) + 1
+
+    def displacement(of: np.ndarray) -> np.ndarray:
+        hem = _hem(of)[stop:]
+        return np.sqrt(((hem - hem[-1]) ** 2).sum(axis=2).mean(axis=1))
+
+    own, limit = displacement(points), SETTLED * displacement(simulated).max()
+    outside = np.flatnonzero(own > limit)
     return {
-        "rate_divergence_mm": 1000 * float(np.mean(rates)),
-        "drop_divergence_mm": 1000 * float(np.mean(drops)),
-        "still_mm": 1000 * float(np.linalg.norm(two[1] - two[0], axis=1).max()),
+        "overshoot_mm": 1000 * float(own.max()),
+        "settling_s": float((outside.max() + 1) / motion.rate_hz) if len(outside) else 0.0,
     }
 
 
-def _added_to_step(draper: Draper, motion: Motion) -> float:
-    """Median processor time [us] that time and root add to a step of the evaluator, as the ROS node and hosts in C take
-    it: streams of frames in turns, so that caches are warm."""
-    q, roots, down = motion.positions_for(draper.model.rig), motion_roots(motion), motion.gravity
-    still, moving = [], []
-    for rows, given in ((still, [{"gravity": each} for each in down]), (moving, [{"root": each} for each in roots])):
-        frame_input = FrameInput(1)
-        for k, each in enumerate(given):
-            frame_input.fill(**each, time=k / motion.rate_hz if rows is moving else None)
-            rows.append(frame_input.rows.copy())
-    pose, out = np.empty(q.shape[1], dtype=np.float32), np.empty((draper.vertex_count, 6), dtype=np.float32)
-    medians = []
-    for rows in [still, moving] * STREAMS:
-        inputs = rows[0].copy()
-        step, took = draper.bind_frame(pose, inputs, out), []
-        for frame in range(len(q)):
-            pose[:], inputs[:] = q[frame], rows[frame]
-            begin = time.process_time_ns()
-            step()
-            took.append(time.process_time_ns() - begin)
-        medians.append(np.median(took))
-    return float(np.median(np.diff(medians)[::2])) / 1000
+def _hem(points: np.ndarray) -> np.ndarray:
+    order = np.argsort(points[0, :, 2])
+    return points[:, order[: max(1, round(LOWEST * points.shape[1]))]]

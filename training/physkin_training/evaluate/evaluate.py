@@ -13,19 +13,18 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.check.sight import Cameras, Figure, Surface, what_shows, who_covers
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
+from physkin_core.model.surface_paths import hem_distances
 from physkin_core.motion.motion import Motion
 from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.sway.frame_input import STANDARD_GRAVITY
 from physkin_training.evaluate.figures import Figures
-from physkin_training.evaluate.folds import FoldFigures
 from physkin_training.evaluate.minimum import subspace_minimum
-from physkin_training.evaluate.run_time_normals import RunTimeNormals
-from physkin_training.evaluate.skin_shows import SkinShows
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -45,6 +44,8 @@ LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
 """Batches on a GPU: of pairs that are measured, and minimised."""
 MINIMUM_COST = 500
 """How many measured pairs take about as long as one that is minimised."""
+LOOKED_AT = 32
+"""Pairs that cameras look at, spread over all: some tenths of a second each."""
 MOTION_RATE = 60.0
 """Frames a second at which motion is measured; clips of another rate are resampled."""
 
@@ -59,7 +60,6 @@ class Batch:
     positions: torch.Tensor
     gravity: torch.Tensor
     body: torch.Tensor
-    overlapped_skin: torch.Tensor
     rest: RestShape | None = None
 
 
@@ -67,9 +67,8 @@ class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
     bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
-    strains are against the rest shape at that fit. body_model: whose bodies, default the adults that are shipped.
-    watch: is told of every batch how many measured pairs it was worth. Raises ValueError when the model is for another
-    rig than the body model's, or there are not so many bodies.
+    strains are against the rest shape at that fit. watch: is told of every batch how many measured pairs it was worth.
+    Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
     """
 
     def __init__(
@@ -82,11 +81,10 @@ class Evaluation:
         seed: int,
         batch: int = 64,
         fit: float | None = None,
-        body_model: BodyModel | None = None,
         watch: Callable[[int], None] = lambda pairs: None,
     ) -> None:
         fit = checked_fit(model, fit)
-        body_model = body_model or load_body_model()
+        body_model = load_body_model()
         held_out = body_model.held_out_bodies
         if isinstance(bodies, int):
             if not 1 <= bodies <= len(held_out):
@@ -111,8 +109,7 @@ class Evaluation:
         self.losses = PhysicsLosses(
             model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
         )
-        self.skin = SkinShows(model.garment, body_model, self.posed_bodies)
-        self._normals = RunTimeNormals(model, body_model, self.bodies.coefficients, fit=fit)
+        self._body_model = body_model
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
         self.node_positions = self.drape.node_positions(self.bodies)
 
@@ -133,8 +130,7 @@ class Evaluation:
                 positions, rest = worn.node_positions, worn.rest
                 self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bones, positions)
-            count, overlapped = min(self.batch, len(pairs) - start), self.skin.overlapped()
-            yield Batch(count, posed_nodes, self.modulations[b], q, g, b, overlapped, rest)
+            yield Batch(min(self.batch, len(pairs) - start), posed_nodes, self.modulations[b], q, g, b, rest)
 
     def rest_garment(self, body: int) -> Garment:
         """The garment in the rest shape that body `body` of this evaluation wears."""
@@ -153,9 +149,8 @@ class Evaluation:
         """Count drapes (B, n, 3) of the batch posed last in. motion: they are frames, each body's a take."""
         with torch.no_grad():
             energies = self.energy(vertices, batch)[1]
-            skin = self.skin.figures(vertices, batch.overlapped_skin)
         takes = batch.body if motion else None
-        figures.add(vertices, energies, skin, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
+        figures.add(vertices, energies, rest_row=self.losses.rest_row, takes=takes, count=batch.count)
 
     def figures(
         self, *, upright: bool, only: Collection[str] = ("model", "skinning", "fewer_influences")
@@ -171,8 +166,7 @@ class Evaluation:
 
     def motion(self, motions: Sequence[Motion]) -> dict:
         """Model, also by skinning weights learnt for engines, and plain skinning on every frame of clips on every body:
-        `model`, `fewer_influences`, `skinning`, `jitter_ratio`; `clips` by name with the same, and `worst_skin` and
-        `worst_skin_in_sight`, the model's frame with most of it; `counts`.
+        `model`, `fewer_influences`, `skinning`, `jitter_ratio`; `clips` by name with the same; `counts`.
 
         Raises MotionError when a clip moves none of the rig's joints, ValueError when one is too short, stands still or
         comes twice.
@@ -184,11 +178,7 @@ class Evaluation:
             rows = self._rows(self.frames(motion), total, motion=True)
             for row, figures in rows.items():
                 total[row].include(figures)
-            worst = rows["model"].worst_skin
-            results["clips"][name] = _with_jitter_ratio(rows) | {
-                "worst_skin": _frame(*worst["skin_shows_percent"], motion),
-                "worst_skin_in_sight": _frame(*worst["skin_in_sight_percent"], motion),
-            }
+            results["clips"][name] = _with_jitter_ratio(rows)
         results["counts"] = {
             "clips": len(clips),
             "frames": sum(motion.frame_count for motion in clips.values()),
@@ -196,6 +186,28 @@ class Evaluation:
             "rate_hz": MOTION_RATE,
         }
         return _with_jitter_ratio(total) | results
+
+    def skin_seen(self, pairs: Pairs) -> dict[str, float]:
+        """`skin_seen_percent` of the model's drapes of a few pairs, as `physkin check` finds it at rest: of the pixels
+        that should show cloth those that show skin."""
+        garment, faces = self.model.garment, self._body_model.faces
+        hems = hem_distances(garment.vertices, garment.faces)
+
+        def surfaces(body: np.ndarray, cloth: np.ndarray) -> list[Surface]:
+            return [Surface(body, faces), Surface(cloth, garment.faces, hems)]
+
+        made_on = self._body_model.vertices(self._body_model.garment_body)
+        cover = who_covers(*surfaces(made_on, garment.vertices))
+        shows = pixels = 0
+        for batch in self.batches(pairs.spread(LOOKED_AT)):
+            bodies = self.posed_bodies.vertices[: batch.count].cpu().numpy()
+            with torch.no_grad():
+                drapes = self.own_drape(batch)[: batch.count].cpu().numpy()
+            for body, cloth in zip(bodies, drapes):
+                figure = Figure(surfaces(body, cloth), Cameras(cloth))
+                shown = what_shows(figure, {(0, 1): cover})[0, 1]
+                shows, pixels = shows + shown.shows, pixels + shown.pixels
+        return {"skin_seen_percent": 100 * shows / max(pixels, 1)}
 
     def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
         drapes = {name: self._fewer if name == "fewer_influences" else self.drape for name in only}
@@ -221,11 +233,9 @@ class Evaluation:
         `minimum`.
 
         The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
-        end, the full-space one the `converged_percent` of its samples (see `Solution`), the other two rows what
-        `FoldFigures` says of them.
+        end, the full-space one the `converged_percent` of its samples (see `Solution`).
         """
         rows = {name: self.new_figures() for name in ("model_on_subset", "subspace_minimum", "minimum")}
-        folds = {name: FoldFigures(self.model.garment, self.device) for name in ("model_on_subset", "subspace_minimum")}
         converged: list[bool] = []
         norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(pairs):
@@ -233,12 +243,9 @@ class Evaluation:
             def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
                 return self.energy(vertices, batch)[0]
 
-            def bend(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
-                return self.energy(vertices, batch)[1].bend
-
             with torch.no_grad():
                 raw, detail = self._corrections(batch)
-                own = self.drape.skin(compose_nodes(batch.posed_nodes, delta_transforms(raw)), batch.rest, detail)
+                own = self.own_drape(batch)
             subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, detail=detail)
             with torch.no_grad():
                 better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
@@ -249,13 +256,8 @@ class Evaluation:
                 norms[name] += minimum.gradient_norm[: batch.count].tolist()
             for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
                 self.count_in(rows[name], vertices, batch)
-            lowest, shown = minima["minimum"].vertices, self._normals(batch.positions, batch.gravity, batch.body)
-            folds["model_on_subset"].add(own, lowest, bend, normals=shown, count=batch.count)
-            folds["subspace_minimum"].add(subspace.vertices, lowest, bend, count=batch.count)
             self.watch(MINIMUM_COST * batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
-        for name, compared in folds.items():
-            results[name] |= compared.result()
         for name, values in norms.items():
             results[name]["gradient_norm"] = sum(values) / len(values)
         results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
@@ -270,6 +272,10 @@ class Evaluation:
     @cached_property
     def _solver(self) -> FullSpaceSolver:
         return FullSpaceSolver(self.losses)
+
+    def own_drape(self, batch: Batch) -> torch.Tensor:
+        """What the model makes of a batch, (B, n, 3)."""
+        return self.drape(batch.modulation, batch.positions, batch.gravity, batch.posed_nodes, batch.rest)
 
     def _corrections(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor | None]:
         vector = self.drape.pose_vector(batch.positions, batch.gravity)
@@ -304,12 +310,6 @@ def measured_clips(motions: Sequence[Motion]) -> list[Motion]:
 def _with_jitter_ratio(rows: dict[str, Figures]) -> dict:
     results: dict = {name: figures.result() for name, figures in rows.items()}
     return results | {"jitter_ratio": results["model"]["jitter_mm"] / results["skinning"]["jitter_mm"]}
-
-
-def _frame(percent: float, sample: int, motion: Motion) -> dict:
-    """Body and frame of a sample of `motion_pairs`."""
-    body, frame = divmod(sample, motion.frame_count)
-    return {"body": body, "frame": frame, "percent": percent}
 
 
 def _difference(rig: Rig, other: Rig) -> str:
@@ -353,11 +353,14 @@ def evaluate_model(
     made: dict = fitted.figures(upright=True, only=["model", "skinning"])
     made["tilted"] = fitted.figures(upright=False, only=["model"])["model"]
     if clips:
+        every_frame = Pairs.joined([fitted.frames(clip) for clip in clips])
         made["motion"] = fitted.motion(clips)
+        made["motion"]["model"] |= fitted.skin_seen(every_frame)
     scores["made_to_measure"] = made
     scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
     if clips:
         scores["motion"] = evaluation.motion(clips)
+        scores["motion"]["model"] |= evaluation.skin_seen(every_frame)
     if minimum:
         given["batch"] = min(batch, LARGEST_MINIMISED)
         evaluation = Evaluation(model, device, **given, fit=0.0)
@@ -365,7 +368,7 @@ def evaluate_model(
         scores["counts"]["minimum_pairs"] = scores["minimum"]["pairs"]
         scores["energy_ratio"] = scores["model_on_subset"]["energy_j"] / scores["minimum"]["energy_j"]
     if minimum and clips:
-        chosen = Pairs.joined([evaluation.frames(clip) for clip in clips]).spread(minimum)
+        chosen = every_frame.spread(minimum)
         scores["motion"] |= evaluation.minima(chosen)
         made["motion"] |= Evaluation(model, device, **given, fit=1.0).minima(chosen)
     return scores

@@ -6,7 +6,6 @@ Dimensions: `B` samples of a batch, `n` garment vertices.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 
 import torch
 
@@ -20,7 +19,7 @@ __all__ = ["Figures"]
 
 class Figures:
     """Accumulates the quality figures over batches. rest: strains are against these rest shapes, default the garment's
-    own. `worst_skin`: by figure of the skin, the largest of a sample [%], and its number in the order of adding."""
+    own."""
 
     def __init__(self, garment: Garment, device: torch.device, *, rest: RestData | None = None) -> None:
         def tensor(array, dtype: torch.dtype) -> torch.Tensor:
@@ -34,14 +33,12 @@ class Figures:
         self.frames: Counter[str] = Counter()
         self.samples = 0
         self.depths: list[torch.Tensor] = []
-        self.worst_skin: dict[str, tuple[float, int]] = {}
         self._last: tuple[torch.Tensor, torch.Tensor] | None = None
 
     def add(
         self,
         vertices: torch.Tensor,
         energies: Energies,
-        skin: Mapping[str, torch.Tensor],
         *,
         rest_row: torch.Tensor | None = None,
         takes: torch.Tensor | None = None,
@@ -49,10 +46,9 @@ class Figures:
     ) -> None:
         """Count in the first `count` (default all) of a batch of drapes (B, n, 3) [m].
 
-        skin: figures (B,) by name, see
-        `SkinShows`. rest_row: (B,) integers, which rest shape each has, default the first. takes: (B,) int64, for
-        drapes that are frames of motion, the take that each is of: a take's frames come together and in order, over as
-        many batches as need be, and jitter and snaps are those of `physkin_core.quality` over each take by itself.
+        rest_row: (B,) integers, which rest shape each has, default the first. takes: (B,) int64, for drapes that are
+        frames of motion, the take that each is of: a take's frames come together and in order, over as many batches as
+        need be, and jitter and snaps are those of `physkin_core.quality` over each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]
@@ -68,7 +64,6 @@ class Figures:
             "area_strain_percent": 100 * ((area - areas).abs() / areas).mean(dim=1),
             "inside_percent": 100 * (distance < 0).float().mean(dim=1),
             "inside_worn_percent": 100 * ((distance < 0) & energies.at_worn_part[:count]).float().mean(dim=1),
-            **{name: values[:count] for name, values in skin.items()},
             "within_3mm_percent": 100 * (distance < CLOSE).float().mean(dim=1),
             "stretch_j": energies.stretch[:count],
             "bend_j": energies.bend[:count],
@@ -77,10 +72,6 @@ class Figures:
         }
         for name, values in per_sample.items():
             self.sums[name] += float(values.double().sum())
-        for name in skin:
-            most, sample = per_sample[name].max(dim=0)
-            worst = float(most), self.samples + int(sample)
-            self.worst_skin[name] = max(self.worst_skin.get(name, worst), worst)
         self.depths.append((-distance).amax(dim=1).clamp_min(0))
         self.samples += len(vertices)
         if takes is not None:

@@ -16,16 +16,12 @@ COLUMNS = {
     "area_strain_percent": "area %",
     "inside_percent": "inside %",
     "inside_worn_percent": "inside worn parts %",
-    "skin_shows_percent": "skin shows %",
-    "skin_in_sight_percent": "in sight %",
+    "skin_seen_percent": "skin seen %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",
     "stretch_j": "stretch J",
     "bend_j": "bend J",
-    "fold_energy_ratio": "/ minimum's",
-    "fold_noise_ratio": "noise / minimum's",
-    "normal_error_degrees": "normals °",
     "collision_j": "contact J",
     "gravity_j": "gravity J",
     "jitter_mm": "jitter mm",
@@ -33,10 +29,9 @@ COLUMNS = {
     "snaps_percent": "snaps %",
 }
 OUTFIT_COLUMNS = {
-    "poke_percent": "poke %",
-    "poke_p999_mm": "poke p99.9 mm",
-    "seen_poke_percent": "seen %",
+    "shows_through_percent": "shows through %",
     "skin_shows_percent": "skin shows %",
+    "hole_percent": "holes %",
     "added_strain_points": "strain +",
     "added_jitter_ratio": "jitter x",
     "hidden_vertices_percent": "hidden %",
@@ -89,7 +84,7 @@ def outfit_table(scores: Mapping) -> str:
     for outfit, figures in scores["outfit"].items():
         rows = {outfit: figures}
         if len(figures["pairs"]) > 1:
-            rows |= {f"- {pair}": counted for pair, counted in figures["pairs"].items()}
+            rows |= {f"- {pair}": {"shows_through_percent": shows} for pair, shows in figures["pairs"].items()}
         rows |= {f"- in {clip}": counted for clip, counted in figures["clips"].items()}
         cells += [[name, *(row.get(column) for column in OUTFIT_COLUMNS)] for name, row in rows.items()]
     of = "{bodies} bodies, {frames} runs of {run} frames from {clips} clips".format(**scores["counts"])
@@ -98,29 +93,20 @@ def outfit_table(scores: Mapping) -> str:
 
 def dynamics_table(scores: Mapping) -> str:
     """Rows of `evaluate_dynamics` as Markdown: each scene without and with sway; the other figures below."""
-    total, kinds = scores["dynamic"], ("simulated", "quasi_static", "swaying")
-    columns = ("rmse_mm", "moving_rmse_mm", "velocity_rmse_ms", "potential_ratio")
+    total = scores["dynamic"]
+    columns = {"rmse_mm": "distance mm", "moving_rmse_mm": "less at rest mm"}
     cells = []
     for name, row in {"all": total, **scores["scenes"]}.items():
         pairs = [value for column in columns for value in (row["quasi_static"][column], row[column])]
-        cells.append([name, row["at_rest_mm"], *pairs])
-    headers = ["scene", "at rest mm", *(f"{column}{of}" for column in columns for of in (", still", ", sway"))]
+        cells.append([name, row["at_rest_mm"], *pairs, row["added_strain_points"]])
+    of_kinds = (f"{column}{of}" for column in columns.values() for of in (", each frame by itself", ", sway"))
+    headers = ["scene", "at rest mm", *of_kinds, "strain +"]
     lines = [tabulate(cells, headers, tablefmt="pipe", floatfmt=".2f"), ""]
-    for what, by_kind in (
-        {f"swing at {k} Hz": v for k, v in total["swings"].items()}
-        | {name: total[name] for name in ("stop", "turn") if name in total}
-    ).items():
-        said = (", ".join(f"{k} {v:.2f}" for k, v in by_kind[kind].items()) for kind in kinds)
-        lines.append(f"{what}: " + "; ".join(f"{kind} {text}" for kind, text in zip(kinds, said)))
-    others = (
-        "rate_divergence_mm",
-        "drop_divergence_mm",
-        "still_mm",
-        "strain_percent",
-        "added_strain_points",
-        "added_step_us",
-    )
-    lines += ["", ", ".join(f"{name} {total[name]:.3f}" for name in others)]
+    ends = {f"swing at {rate} Hz": by_kind for rate, by_kind in total["swings"].items()}
+    ends |= {name: total[name] for name in ("stop", "turn") if name in total}
+    for what, by_kind in ends.items():
+        said = (f"{kind} " + ", ".join(f"{k} {v:.2f}" for k, v in row.items()) for kind, row in by_kind.items())
+        lines.append(f"{what}: " + "; ".join(said))
     return "\n".join(lines)
 
 

@@ -7,10 +7,9 @@ trained. Dimensions: `B` poses, `n` garment vertices, `d` degrees of freedom.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -37,49 +36,22 @@ from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.staged_drape import drape_in_stages
 from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import posed_avatar
 
-__all__ = ["DrapeSimulation", "Poses", "command_parser", "load_pose", "main"]
+__all__ = ["DrapeSimulation", "command_parser", "main"]
 
 REACH = 0.3
 """The body is looked for up to this distance [m]."""
 STAGES = 8
 """Steps of the body from the canonical pose."""
+ON_THE_WAY = {"tolerance": 0.1, "iterations": 15}
+"""How well poses on the way from the canonical one are minimised."""
+FARTHEST_CARRIED = 2.0
+"""Offsets from plain skinning may grow by this factor at most as they are carried along."""
 NOT_CONVERGED = 1
 MOST_OF_IT, NEAR = 0.9, 0.03
 """Of the force that is left, by its square, and the distance [m] of skin that is named where it is."""
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Joint positions (B, d) [rad] in the order of a rig, and gravity directions (B, 3) in the root frame."""
-
-    positions: np.ndarray
-    gravity: np.ndarray
-
-
-def load_pose(path: str | Path, rig: Rig) -> Poses:
-    """One pose from a JSON file: `{"positions": {joint: radians, ...}, "gravity": [x, y, z]}`.
-
-    Joints left out are at rest; gravity is a direction in the root frame, default that of an upright body.
-    Raises ValueError for a file that is not so, or joints the rig has not.
-    """
-    try:
-        data = json.loads(Path(path).read_text())
-        positions = rig.joint_positions({str(name): float(value) for name, value in data["positions"].items()})
-        gravity = np.array(data.get("gravity", UPRIGHT_GRAVITY), dtype=np.float64)
-    except (OSError, KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
-        raise ValueError(f"pose file {path} must be JSON with an object 'positions': {error!r}") from error
-    if unknown := set(data) - {"positions", "gravity"}:
-        raise ValueError(
-            f"pose file {path} has unknown entries {', '.join(sorted(unknown))}; allowed: positions, gravity"
-        )
-    length = np.linalg.norm(gravity)
-    if gravity.shape != (3,) or not (np.isfinite(length) and length > 1e-9 and np.isfinite(positions).all()):
-        raise ValueError(f"pose file {path}: positions and gravity must be finite, gravity (3,) of some length")
-    return Poses(positions[None], gravity[None] / length)
 
 
 class DrapeSimulation:
@@ -112,33 +84,38 @@ class DrapeSimulation:
 
     def run(
         self,
-        poses: Poses,
+        positions: np.ndarray,
+        gravity: np.ndarray,
         *,
         stages: int = 0,
         tolerance: float = 1e-2,
         iterations: int = 300,
     ) -> Solution:
-        """Minimise at the poses.
+        """Minimise at joint positions (B, d) [rad] under gravity (B, 3), a direction in the root frame.
 
         stages: 0 starts from the drapes of the start model at the poses themselves; otherwise the body is moved there
-        from the canonical pose in so many steps, the garment being minimised roughly after each.
+        from the canonical pose in so many steps, the garment being minimised roughly after each. From one to the next
+        cloth is carried along as the start model's nodes move and turn it.
         """
+        if stages < 0:
+            raise ValueError(f"stages must be 0 or more, got {stages}")
+        shares = np.linspace(0, 1, stages + 1) if stages else [1.0]
+        carried = None
+        for share in shares:
+            at = self._partly(positions, gravity, share)
+            skinned, turns = self._start(*at)
+            place = skinned if carried is None else skinned + _turned_on(*carried, turns)
+            self.body.pose(*self._tensors(at[0].copy()))
+            options = ON_THE_WAY if share < 1 else {"tolerance": tolerance, "iterations": iterations}
+            solution = self.solver.minimise(*self._tensors(place, at[1]), self.body.mesh, self.body.offset, **options)
+            carried = solution.vertices.to(skinned) - skinned, turns
+        return solution
 
-        def minimise(start: torch.Tensor, share: float, **options) -> Solution:
-            at = self._partly(poses, share)
-            self.body.pose(*self._tensors(at.positions.copy()))
-            return self.solver.minimise(*self._tensors(start, at.gravity), self.body.mesh, self.body.offset, **options)
-
-        options = {"tolerance": tolerance, "iterations": iterations}
-        return drape_in_stages(
-            lambda share: self._start(self._partly(poses, share)), minimise, stages=stages, **options
-        )
-
-    def force_left(self, result: Solution, poses: Poses) -> list[tuple[int, list[str]]]:
+    def force_left(self, result: Solution, gravity: np.ndarray) -> list[tuple[int, list[str]]]:
         """Of each drape, how few vertices have nine tenths of the force that is left, and the bones of the skin around
-        them. The body is in these poses."""
-        gravity, body = self._tensors(poses.gravity)[0], self.body
-        _, gradients = self.losses.evaluate(result.vertices, gravity, body.mesh, body.offset)
+        them. gravity: (B, 3), as of the run before."""
+        body = self.body
+        _, gradients = self.losses.evaluate(result.vertices, *self._tensors(gravity), body.mesh, body.offset)
         bones, found = self.avatar.influence_bones[:, 0], []
         for gradient, cloth, skin in zip(gradients.cpu(), result.vertices.cpu(), body.vertices.cpu()):
             force = gradient.double().square().sum(dim=1).numpy()
@@ -149,26 +126,36 @@ class DrapeSimulation:
             found.append((few, [self.rig.bone_names[bone] for bone in sorted(around)]))
         return found
 
-    def _partly(self, poses: Poses, share: float) -> Poses:
+    def _partly(self, positions: np.ndarray, gravity: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions and gravity at a share (0 to 1) of the way from the canonical pose."""
         if share == 1:
-            return poses
-        positions = self.rig.rest + share * (poses.positions - self.rig.rest)
-        gravity = UPRIGHT_GRAVITY + share * (poses.gravity - UPRIGHT_GRAVITY)
-        length = np.linalg.norm(gravity, axis=1, keepdims=True)
-        return Poses(positions, np.where(length > 0.1, gravity / np.maximum(length, 0.1), poses.gravity))
+            return positions, gravity
+        down = UPRIGHT_GRAVITY + share * (gravity - UPRIGHT_GRAVITY)
+        length = np.linalg.norm(down, axis=1, keepdims=True)
+        down = np.where(length > 0.1, down / np.maximum(length, 0.1), gravity)
+        return self.rig.rest + share * (positions - self.rig.rest), down
 
-    def _start(self, poses: Poses) -> tuple[torch.Tensor, torch.Tensor]:
+    def _start(self, positions: np.ndarray, gravity: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Drapes (B, n, 3) of the start model, and how it turns the cloth about each vertex (B, n, 3, 3)."""
         bound = self._draper.bound
         drapes, turns = [], []
-        for positions, gravity in zip(poses.positions, poses.gravity, strict=True):
-            drapes.append(self._draper.drape(positions, gravity)[:, :3].astype(np.float64))
+        for joints, down in zip(positions, gravity, strict=True):
+            drapes.append(self._draper.drape(joints, down)[:, :3].astype(np.float64))
             linear = self._draper.node_transforms()[:, :, :3].astype(np.float64)
             turns.append(np.einsum("vk,vkij->vij", bound.influence_weights, linear[bound.influence_nodes]))
         return torch.as_tensor(np.stack(drapes)), torch.as_tensor(np.stack(turns))
 
     def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
         return tuple(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays)
+
+
+def _turned_on(offset: torch.Tensor, turned: torch.Tensor, now: torch.Tensor) -> torch.Tensor:
+    """Offsets (B, n, 3) from plain skinning, turned with the cloth from how it was to how it is, (B, n, 3, 3) each."""
+    local, _ = torch.linalg.solve_ex(turned, offset[..., None])
+    carried = (now @ local)[..., 0]
+    longest = FARTHEST_CARRIED * torch.linalg.vector_norm(offset, dim=-1)
+    short = torch.linalg.vector_norm(carried, dim=-1) <= longest
+    return torch.where(short[..., None], carried, offset)  # where blending has all but flattened the cloth
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -203,11 +190,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
     add_avatar_options(parser, made_on=True)
-    pose = parser.add_mutually_exclusive_group()
-    pose.add_argument(
-        "--pose", type=Path, metavar="FILE", help='JSON: {"positions": {joint: radians}, "gravity": [...]}'
-    )
-    pose.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
+    parser.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
     parser.add_argument(
         "--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion (default 0)"
     )
@@ -250,14 +233,14 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         avatar = avatar_from_body(body_model, body_model.garment_body)
     print_warnings(avatar.warnings)
-    poses = _poses(options, model.rig)
+    positions, gravity = _poses(options, model.rig)
     device = resolve_device(options.device)
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
     began = time.perf_counter()
     wearing = Wearing.on(garment, avatar, model.rig)
-    simulation = DrapeSimulation(garment, avatar, model, material, len(poses.positions), device, wearing=wearing)
-    result = simulation.run(poses, stages=0 if options.start_from else STAGES, tolerance=options.tolerance)
+    simulation = DrapeSimulation(garment, avatar, model, material, len(positions), device, wearing=wearing)
+    result = simulation.run(positions, gravity, stages=0 if options.start_from else STAGES, tolerance=options.tolerance)
     seconds = time.perf_counter() - began
     vertices = result.vertices.double().cpu().numpy()
     print(report(garment, result))
@@ -272,23 +255,22 @@ def _simulate(options: argparse.Namespace) -> int:
         f"{options.tolerance} of the weight; where cloth is caught between body parts there may be no such drape",
         file=sys.stderr,
     )
-    for drape, (few, bones) in enumerate(simulation.force_left(result, poses)):
+    for drape, (few, bones) in enumerate(simulation.force_left(result, gravity)):
         if not result.converged[drape]:
             near = f"near {', '.join(bones)}" if bones else "away from the body"
             print(f"drape {drape}: nine tenths of the force that is left is at {few} vertices, {near}", file=sys.stderr)
     return NOT_CONVERGED
 
 
-def _poses(options: argparse.Namespace, rig: Rig) -> Poses:
-    if options.pose:
-        return load_pose(options.pose, rig)
+def _poses(options: argparse.Namespace, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions (B, d) [rad] and gravity (B, 3)."""
     if not options.motion:
-        return Poses(rig.rest[None].copy(), np.array(UPRIGHT_GRAVITY)[None])
+        return rig.rest[None].copy(), np.array(UPRIGHT_GRAVITY)[None]
     motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
     for frame in options.frame:
         if not 0 <= frame < motion.frame_count:
             raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {frame}")
-    return Poses(motion.positions_for(rig)[options.frame].astype(np.float64), motion.gravity[options.frame])
+    return motion.positions_for(rig)[options.frame].astype(np.float64), motion.gravity[options.frame]
 
 
 def report(garment: Garment, result: Solution) -> str:
