@@ -26,7 +26,6 @@ PACKAGES = {
     "physkin_ros": "physkin_ros",
     "physkin_training": "training/physkin_training",
     "physkin_prepare": "training/physkin_prepare",
-    "physkin_studies": "training/physkin_studies",
     "physkin_bench": "native/physkin_bench",
 }
 """Import package -> its folder in the repository."""

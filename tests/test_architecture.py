@@ -20,7 +20,6 @@ MAY_IMPORT = {
     "physkin_training": {"physkin_core"},
     "physkin_bench": {"physkin_core", "physkin_ros"},
     "physkin_prepare": {"physkin_core", "physkin_training"},
-    "physkin_studies": {"physkin_core", "physkin_training", "physkin_bench"},
 }
 """Package -> others of ours that it may import."""
 

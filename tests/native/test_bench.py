@@ -12,7 +12,6 @@ from random_models import random_detail
 
 from physkin_bench import cases, measurement
 from physkin_bench.__main__ import main
-from physkin_bench.arm import __main__ as arm
 from physkin_bench.cases import paper_case, skinning_case
 from physkin_bench.network_case import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
@@ -142,13 +141,3 @@ def test_calls_take_turns():
     order.clear()
     time_in_turns(calls, rounds=1, repeats=2, before_each=lambda: order.append("-"))
     assert "".join(order) == "-a-a-b-b"
-
-
-def test_blocks_of_a_frame_on_arm(monkeypatch):
-    """What opening the file took is left out, and what qemu cuts at the end of a page is one block again."""
-    runs = {
-        arm.FEW: {(0, 4): 99, (16, 2): 10, (24, 3): 10},
-        arm.MANY: {(0, 4): 99, (16, 2): 60, (24, 3): 60, (36, 1): 5},
-    }
-    monkeypatch.setattr(arm, "run_blocks", lambda *given: arm.Counter(runs[given[-1]]))
-    assert arm.frame_blocks(None, None, None, "dotprod") == {(16, 5): 1.0, (36, 1): 0.1}
