@@ -47,14 +47,13 @@ def build_program(library, source, compiler="c++", *flags, inner=()):
 class Options(ctypes.Structure):
     _fields_ = [
         ("size", ctypes.c_uint32),
-        ("normals_from_faces", ctypes.c_int32),
         ("precision", ctypes.c_char_p),
         ("instruction_set", ctypes.c_char_p),
     ]
 
 
-def options(normals_from_faces=0, precision=None, instruction_set=None):
-    return Options(ctypes.sizeof(Options), normals_from_faces, precision, instruction_set)
+def options(precision=None, instruction_set=None):
+    return Options(ctypes.sizeof(Options), precision, instruction_set)
 
 
 def c_library():

@@ -42,7 +42,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
     calls = {f"{name}.{stage}": getattr(found[name][1], method) for name in found for stage, method in STAGES.items()}
     for level in levels:
         if len(bound.faces):
-            normals = Evaluator([bound], instruction_set=level, normals="faces")
+            normals = Evaluator([bound], instruction_set=level)
             calls[f"face_normals.{level}"] = bound_frame(normals, bound, pose, inputs).compute_normals
         if case.limbs is not None:
             shape, arms_down = case.limbs

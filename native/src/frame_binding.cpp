@@ -42,16 +42,15 @@ LayerOrderData layer_order_data(PythonReader& reader, nb::handle order) {
 // Garments that are evaluated together, and what keeps their order. They are packed while other Python threads run.
 class BoundEvaluator {
  public:
-  BoundEvaluator(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision,
-                 const std::string& normals)
+  BoundEvaluator(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision)
       : evaluator_([&] {
           PythonReader reader;
           std::vector<BoundGarment> bound;
           for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
           const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options = evaluator_options(precision, normals);
+          const Precision chosen = select_precision(precision.value_or(""));
           const nb::gil_scoped_release release;
-          return Evaluator(bound, kernels, options);
+          return Evaluator(bound, kernels, chosen);
         }()) {
     PythonReader reader;
     for (nb::handle order : orders) {
@@ -167,9 +166,8 @@ nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(F
 
 void bind_frame(nb::module_& module) {
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&, const std::string&>(), "garments"_a,
-           "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
-           "normals"_a = "skinned")
+      .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&>(), "garments"_a,
+           "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none())
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
       .def("features", features, "garment"_a = 0)

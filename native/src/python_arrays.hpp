@@ -142,8 +142,4 @@ inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
 
 using Text = std::optional<std::string>;  // None: from the environment, or the default
 
-inline EvaluatorOptions evaluator_options(const Text& precision, const std::string& normals) {
-  return {select_precision(precision.value_or("")), select_normals(normals)};
-}
-
 }  // namespace physkin

@@ -35,7 +35,7 @@ class Draper:
     Args:
         model: the garment model.
         avatar: the body, bound to the model's rig.
-        precision, fit, normals: as for `Outfit`.
+        precision, fit: as for `Outfit`.
         points: (n, 3) [m], optional: other points of the same garment to drape instead of its mesh, in canonical space.
             They have no faces.
         point_normals: (n, 3) unit normals of these points.
@@ -46,8 +46,8 @@ class Draper:
 
     Raises:
         TypeError: for anything but a model and an avatar.
-        ValueError: for an unknown precision or kind of normals, a body of another rig, a fit that is not possible,
-            points that do not lie on this garment, or `normals="faces"` for points without faces.
+        ValueError: for an unknown precision, a body of another rig, a fit that is not possible, or
+            points that do not lie on this garment.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -64,7 +64,6 @@ class Draper:
         *,
         precision: Precision | None = None,
         fit: float | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
     ) -> None:
@@ -72,7 +71,7 @@ class Draper:
             given = f"{type(model).__name__}, {type(avatar).__name__}"
             raise TypeError(f"Draper takes a garment model, then an avatar: Draper(model, avatar), got Draper({given})")
         self.model = model
-        self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision, normals=normals)
+        self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision)
         self._bone_rotations: dict[str, BoneRotations] = {}
         if points is not None:
             bound = self.layer.bound

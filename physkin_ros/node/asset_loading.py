@@ -109,7 +109,7 @@ class OutfitLoader:
         hide_covered: bool,
         limbs: bool = False,
     ) -> list[LoadedLayer]:
-        """Put garments on a body over each other, the innermost first, precision and normals being those of the first.
+        """Put garments on a body over each other, the innermost first, precision being that of the first.
 
         body_mesh, body_rig: files, the mesh empty for the bundled avatar. hide_covered: as of `Outfit`. limbs: look at
         the body's limbs, too. Raises ValueError naming what is wrong, or what cannot be worn so.
@@ -124,7 +124,7 @@ class OutfitLoader:
             limbs=limbs,
             points="" if several else first.splats,
         )
-        outfit, loaded = self._loader.outfit(request, precision=first.precision or None, normals=first.normals)
+        outfit, loaded = self._loader.outfit(request, precision=first.precision or None)
         if loaded.splats_refused:
             raise ValueError(f"parameter {first.prefix}splats: {loaded.splats_refused}")
         took = perf_counter() - started

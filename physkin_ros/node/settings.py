@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from physkin_core import NORMALS, UPRIGHT_GRAVITY
+from physkin_core import UPRIGHT_GRAVITY
 from physkin_core.loader.asset_loader import LOAD_MEMORY_LIMIT, LOAD_TIMEOUT
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
@@ -92,12 +92,6 @@ class GarmentSettings:
         high=1,
     )
     sway: float | None = _key(None, "sway of this garment alone. Empty: the avatar's", changes=True, low=0, high=1)
-    normals: str = _key(
-        "skinned",
-        "skinned: normals follow the garment nodes; faces: they are computed from the draped mesh (2 ns a vertex). "
-        "Garments with detail nodes (all shipped ones) always use faces",
-        choices=NORMALS,
-    )
     namespace: str = _key(
         "", "prefix of the garment's topics. Empty: ~; in an outfit ~/NAME; with several avatars ~/ID/NAME"
     )

@@ -205,13 +205,11 @@ def _check_outfit(prefix: str, garments: list[GarmentSettings]) -> None:
             f"{prefix}outfit false"
         )
     for other in others:
-        for key in ("precision", "normals"):
-            ours, theirs = getattr(first, key), getattr(other, key)
-            if ours != theirs:
-                raise SettingsError(
-                    f"parameter {other.prefix}{key} is {theirs!r} and {first.prefix}{key} {ours!r}; the garments of an "
-                    f"outfit share it, unless {prefix}outfit is false"
-                )
+        if other.precision != first.precision:
+            raise SettingsError(
+                f"parameter {other.prefix}precision is {other.precision!r} and {first.prefix}precision "
+                f"{first.precision!r}; the garments of an outfit share it, unless {prefix}outfit is false"
+            )
 
 
 def _check_topic(name: str, value: object) -> None:

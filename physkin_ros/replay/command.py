@@ -8,7 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import NORMALS, UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
+from physkin_core import UPRIGHT_GRAVITY, Draper, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import (
     add_avatar_options,
@@ -109,7 +109,7 @@ def _orientation_topic(options: argparse.Namespace) -> str | None:
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(the_garment(options.garment, "replay drapes"))
     avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
-    draper = Draper(model, avatar, precision=options.precision, fit=options.fit, normals=options.normals)
+    draper = Draper(model, avatar, precision=options.precision, fit=options.fit)
     print_warnings(draper.avatar.warnings)
     return draper
 
@@ -154,12 +154,6 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--precision", choices=PRECISIONS, help="precision of the network weights (default int8)")
     add_fit_option(parser)
-    parser.add_argument(
-        "--normals",
-        choices=NORMALS,
-        default="skinned",
-        help="carried along with the cloth, or computed from the draped mesh",
-    )
     add_limbs_option(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"

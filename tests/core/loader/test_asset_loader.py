@@ -82,8 +82,8 @@ def test_frames_are_the_same_bits_as_of_this_process(asset_loader, avatar, frame
         assert not hasattr(layer.model, "pose_modulator")
 
 
-def test_precision_and_normals_are_of_this_process(asset_loader, avatar, frames):
-    how = {"precision": "fp32", "normals": "faces"}
+def test_precision_is_of_this_process(asset_loader, avatar, frames):
+    how = {"precision": "fp32"}
     here, (there, _) = (
         Outfit([load_garment_model("skirt")], avatar, **how),
         asset_loader.outfit(request("skirt"), **how),

@@ -76,16 +76,15 @@ def test_the_example_gives_the_python_evaluators_bits(tmp_path):
 
 @pytest.mark.parametrize("level", supported_instruction_sets())
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("normals", ["skinned", "faces"])
-def test_every_option_gives_the_same_bits(normals, precision, level, c, make_garment, make_pose, tmp_path):
+def test_every_option_gives_the_same_bits(precision, level, c, make_garment, make_pose, tmp_path):
     """From memory at an odd address, into rows at an odd distance."""
     rng = np.random.default_rng(50)
     garment = replace(make_garment(rng), faces=rng.integers(0, 50, size=(90, 3)).astype(np.int32))
     save_bound_garment(garment, tmp_path / "g", name="g", joint_names=[f"joint {k}" for k in range(7)])
     pose, gravity = make_pose(rng, garment)
-    frame = NativeFrame([garment], precision=precision, instruction_set=level, normals=normals)
+    frame = NativeFrame([garment], precision=precision, instruction_set=level)
     (expected,) = clouds(frame, [garment], pose, told(gravity))
-    how = options(int(normals == "faces"), precision.encode(), level.encode())
+    how = options(precision.encode(), level.encode())
     status, loaded = load(c, (tmp_path / "g").read_bytes(), how)
     assert status == OK, c.physkin_last_error()
     out = np.full((50, 9), 7, dtype=np.float32)
@@ -120,7 +119,7 @@ def test_what_a_file_says_of_itself(c, small_bound_file):
 
 
 def test_a_program_in_c(small_bound_file, tmp_path):
-    """Older, shorter options are taken; a step allocates nothing, neither when it succeeds nor when it is refused."""
+    """A step allocates nothing, neither when it succeeds nor when it is refused."""
     program = compiled(NATIVE.parent / "tests" / "native" / "c_host" / "c_host_test.c", tmp_path)
     assert subprocess.run([program, small_bound_file], check=True, capture_output=True, text=True).stdout == "0\n"
 
@@ -273,7 +272,6 @@ def test_bad_steps_write_nothing_and_say_why(c, small_bound_file):
     [
         (options(precision=b"fp8"), b"'fp8' is unknown"),
         (options(instruction_set=b"avx"), b"'avx' is unknown"),
-        (options(normals_from_faces=2), b"must be 0 or 1"),
         (Options(3), b"options.size is 3"),
     ],
 )

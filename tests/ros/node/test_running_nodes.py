@@ -119,8 +119,8 @@ def test_ros4hri_joint_states(peer, running_node, model_path, draper):
 
 
 def test_options_of_a_garment(peer, running_node, model_path, draper):
-    """Precision, normals of faces, a marker and a deadline; joints beyond what was trained are named."""
-    options = {"precision": "fp32", "normals": "faces"}
+    """Precision, a marker and a deadline; joints beyond what was trained are named."""
+    options = {"precision": "fp32"}
     expected = Draper(draper.model, draper.avatar, **options)
     rig = draper.model.rig
     state = np.random.default_rng(3).uniform(rig.lower, rig.upper).astype(np.float32)
@@ -132,7 +132,6 @@ def test_options_of_a_garment(peer, running_node, model_path, draper):
         peer.until(subscription.get_publisher_count, "marker's publisher")
         cloud = peer.cloud(draper.joint_names, state, (3, 4))
         np.testing.assert_array_equal(cloud, expected.drape(state))
-        assert np.abs(cloud - draper.drape(state))[:, 3:].max() > 0.1
         peer.until(lambda: markers, "marker")
         peer.until_told("deadline missed", "1")
         assert peer.latest("precision") == "fp32"

@@ -61,7 +61,7 @@ def test_garments_are_in_order(tmp_path):
     text = """
 drape_node: {ros__parameters: {avatars: {
   ann: {garments: {z: {model: tshirt, tucked: true}, a: {model: trousers}}},
-  bob: {layers: [b, c, a], outfit: false, garments: {a: {normals: faces}, b: {fit: 0}, c: {model: skirt}}}}}}
+  bob: {layers: [b, c, a], outfit: false, garments: {a: {precision: fp32}, b: {fit: 0}, c: {model: skirt}}}}}}
 """
     ann, bob = load_config(write(tmp_path, text)).avatars
     assert [(each.name, each.tucked) for each in ann.garments] == [("z", True), ("a", False)]

@@ -52,7 +52,7 @@ def test_every_bag_is_replayed_once(bags, quick, leaning_model_path, tmp_path, c
     shutil.copy(bags / "one.mcap", bags / "two.mcap")
     assert cli.main(command(bags, *model)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out, "its file is a newer one"
-    assert cli.main(command(bags, *model, "--normals", "faces")) == 0
+    assert cli.main(command(bags, *model, "--precision", "fp32")) == 0
     assert "2 bags, 0 of them finished" in capsys.readouterr().out
     assert sorted(path.name for path in bags.iterdir()) == ["notes.txt", "one.mcap", "two.mcap"]
 

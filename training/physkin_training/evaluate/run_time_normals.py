@@ -1,4 +1,4 @@
-"""The normals that the run time gives with a drape, which are carried by skinning: they are not those of its faces.
+"""The normals that the run time gives with a drape.
 
 Dimensions: `S` bodies, `B` samples, `n` garment vertices.
 """

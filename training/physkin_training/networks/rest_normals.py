@@ -112,11 +112,12 @@ def normal_errors(model: GarmentModel, *, bodies: int, frames: int) -> dict[str,
     angles: dict[str, list[np.ndarray]] = {}
     takes = _takes(model.rig, frames)
     for coefficients in body_model.held_out_bodies[:bodies]:
-        draper = Draper(model, avatar_from_body(body_model, coefficients), fit=0.0, precision="fp32")
+        avatar = avatar_from_body(body_model, coefficients)  # the vertices as points: their normals are carried along
+        draper = Draper(model, avatar, fit=0.0, precision="fp32", points=model.garment.vertices)
         for name, pairs in takes.items():
             for joints, down in zip(pairs.positions.numpy(), pairs.gravity.numpy()):
                 cloud = draper.drape(joints, down)
-                cosine = (cloud[:, 3:] * vertex_normals(cloud[:, :3], draper.faces)).sum(axis=1)
+                cosine = (cloud[:, 3:] * vertex_normals(cloud[:, :3], model.garment.faces)).sum(axis=1)
                 angles.setdefault(name, []).append(np.degrees(np.arccos(cosine.clip(-1, 1))))
     return {name: NormalErrors(*np.percentile(np.concatenate(each), (50, 99))) for name, each in angles.items()}
 
