@@ -1,7 +1,7 @@
 /* PhySkin for hosts other than Python: joint positions in, garment vertices and normals out. Plain C99.
  *
  * A host loads a bound garment, a file that holds one garment on one body, or an outfit of several, written once by
- *     physkin bind AVATAR --garment MODEL [--garment MODEL ...] -o NAME.bound.safetensors
+ *     physkin bind AVATAR --garment MODEL [--garment MODEL ...] -o NAME.physkin
  * and then calls physkin_step every frame. docs/c-host.md shows how, and how to convert to Unity's axes.
  *
  * Metres, radians; root frame of the body: right-handed, X forward, Y left, Z up.

@@ -7,7 +7,7 @@
 #include <stdexcept>
 
 #include "evaluator/skinner.hpp"
-#include "file_format/tensor_file.hpp"
+#include "file_format/bound_file.hpp"
 #include "garment/finite.hpp"
 #include "kernels/kernels.hpp"
 #include "physkin.h"

@@ -1,13 +1,13 @@
 // The part of physkin_core._native that brings motion capture onto a rig: checks and converts, computes nothing.
-#include "motion_binding.hpp"
-
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "bindings.hpp"
 #include "motion/pose_solver.hpp"
 
 namespace nb = nanobind;
@@ -29,7 +29,7 @@ PoseSolver pose_solver(const std::vector<int>& parents, const std::vector<Number
            std::all_of(rows.begin(), rows.end(), [&](auto& row) { return row.size() == width; });
   };
   if (!sized(turns, parents.size(), 6) || !sized(follower_axes, follower_turns.size(), 9) || pulls.size() != 3) {
-    throw nb::value_error("a turn needs a parent and 6 numbers, a follower a turn and 9, and there are 3 pulls");
+    throw std::invalid_argument("a turn needs a parent and 6 numbers, a follower a turn and 9, and there are 3 pulls");
   }
   std::vector<Turn> tree;
   for (std::size_t k = 0; k < turns.size(); ++k) {
@@ -48,9 +48,8 @@ void step(PoseSolver& self, const Targets& targets, const Positions& positions, 
   const std::size_t frames = positions.shape(0), turns = std::size_t(self.turns());
   if (positions.shape(1) != turns || next.shape(0) != frames || next.shape(1) != turns || targets.shape(0) != frames ||
       targets.shape(1) != std::size_t(self.followers())) {
-    throw nb::value_error(("positions and next must be (frames, " + std::to_string(turns) + "), targets (frames, " +
-                           std::to_string(self.followers()) + ", 3, 3)")
-                              .c_str());
+    throw std::invalid_argument("positions and next must be (frames, " + std::to_string(turns) +
+                                "), targets (frames, " + std::to_string(self.followers()) + ", 3, 3)");
   }
   const nb::gil_scoped_release release;
   self.step(targets.data(), positions.data(), int(frames), next.data());

@@ -123,10 +123,6 @@ class Evaluator:
         without detail."""
         return self._evaluator.features(garment).copy()
 
-    def skinning_multiply_adds(self, garment: int = 0) -> int:
-        """Those that blend the matrices of garment nodes, and work out and blend the offsets of detail nodes."""
-        return self._evaluator.skinning_multiply_adds(garment)
-
 
 def drape_poses(
     bound: BoundGarment, poses: Iterable[tuple[np.ndarray, np.ndarray]], *, precision: Precision | None = None

@@ -64,7 +64,6 @@ class GarmentEvaluator {
   int nodes() const { return garment_nodes_.count(); }
   int feature_count() const { return skinner_.features(); }
   int vertex_count() const { return skinner_.vertex_count(); }
-  std::int64_t skinning_multiply_adds() const { return skinner_.multiply_adds(); }
 
  private:
   void forget_pace() noexcept;

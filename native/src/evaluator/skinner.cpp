@@ -1,6 +1,5 @@
 #include "evaluator/skinner.hpp"
 
-#include <numeric>
 #include <vector>
 
 #include "evaluator/affine.hpp"
@@ -33,17 +32,6 @@ Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& k
     blocks_into_places_ = blocks_;
     blocks_into_places_.vertex = places;
   }
-}
-
-std::int64_t Skinner::multiply_adds() const {
-  const auto nodes_of_halves = [&](const NodeRange* ranges) {
-    return std::accumulate(ranges, ranges + 2 * std::ptrdiff_t(blocks_.block_count), std::int64_t{0},
-                           [](std::int64_t sum, const NodeRange& range) { return sum + range.end - range.begin; });
-  };
-  const std::int64_t matrices = nodes_of_halves(blocks_.influences);
-  if (!detail_offsets_) return kHalf * 12 * matrices;
-  const std::int64_t offsets = nodes_of_halves(blocks_.details);
-  return kHalf * (12 * matrices + 3 * offsets) + std::int64_t(detail_offsets_->outputs()) * features_;
 }
 
 Rejection Skinner::check(const float* node_transforms) const noexcept {

@@ -47,8 +47,6 @@ class Skinner {
   int nodes() const { return nodes_; }
   int features() const { return features_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
-  // That blend the matrices of garment nodes, and work out and blend the offsets of detail nodes.
-  std::int64_t multiply_adds() const;
 
  private:
   const Kernels& kernels_;

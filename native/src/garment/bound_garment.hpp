@@ -110,8 +110,8 @@ class FieldSource {
   virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
 };
 
-// Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "10";
+// Of the bound garment file: raised when the fields of a garment change, or the file's form.
+constexpr std::uint32_t kBoundFileVersion = 11;
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

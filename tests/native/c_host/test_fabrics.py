@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from native_frames import NativeFrame, clouds, told
-from native_library import BAD_ARGUMENT, OK, c_library, load, options, step, step_moving
+from native_library import BAD_ARGUMENT, OK, c_library, load, options, save_one, step, step_moving
 
 from physkin_core import BUNDLED_AVATAR, FABRICS, Draper, load_avatar, load_garment_model, load_motion, with_fabric
 from physkin_core.model.mlp import fold_modulation
-from physkin_core.runtime.bound_file import save_bound_garment
 
 UPRIGHT = np.array([0, 0, -1], dtype=np.float32)
 
@@ -35,13 +34,11 @@ def test_a_fabric_is_what_its_networks_would_be(c, make_garment, make_frames, tm
     """In a motion that is told anything, fabrics changing under way, and back to the first."""
     rng = np.random.default_rng(90)
     garment = make_garment(rng, learnt_sway=True, detail_nodes=9, fabrics=2)
-    names = {"joint_names": [f"joint {k}" for k in range(7)], "fabrics": ["jersey", "silk", "felt"]}
-    save_bound_garment(garment, tmp_path / "g", name="g", **names)
+    names = ["jersey", "silk", "felt"]
+    save_one(garment, tmp_path / "g", fabrics=names)
     status, loaded = load(c, (tmp_path / "g").read_bytes(), options(precision=b"fp32"))
     assert status == OK, c.physkin_last_error()
-    frames = {
-        name: NativeFrame([each]) for name, each in zip(names["fabrics"], (garment, made(garment, 0), made(garment, 1)))
-    }
+    frames = {name: NativeFrame([each]) for name, each in zip(names, (garment, made(garment, 0), made(garment, 1)))}
     stands, out = told(UPRIGHT), np.empty((50, 6), dtype=np.float32)
     drapes = {}
     for name in ("jersey", "felt", "silk", "jersey"):

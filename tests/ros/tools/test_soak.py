@@ -17,8 +17,8 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[r
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from physkin_bench.ros_bench import Case, figures  # noqa: E402
 from physkin_ros.tools.children import Children  # noqa: E402
+from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
 from physkin_ros.tools.trial import finish, start_node, start_playing  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")

@@ -1,4 +1,4 @@
-"""What the node delivers, how late, and at what cost: `PYTHONPATH=native python -m physkin_bench.ros_bench`.
+"""What the node delivers, how late, and at what cost: `python -m physkin_ros.tools.ros_bench`.
 
 A publisher process sends joint states of the bundled motion, a node process drapes, a reader process receives the
 clouds; each avatar wears a garment of each `--garment`, their joint states evenly spread in time. What it prints is
@@ -146,7 +146,7 @@ def figures(case: Case, records: Records, *, garments: int = 1) -> dict[str, obj
 
 def command_parser() -> argparse.ArgumentParser:
     """The options."""
-    parser = argparse.ArgumentParser(prog="python -m physkin_bench.ros_bench", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m physkin_ros.tools.ros_bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
     add_garment_option(parser, "dress")
     add_fit_option(parser)
