@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.cli import main
+from physkin_core.runtime import body_encoder
 from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
 
@@ -41,6 +42,12 @@ def step_accelerated(c, garment, pose, felt, out):
 @pytest.fixture(scope="module")
 def c():
     return c_library()
+
+
+@pytest.fixture
+def few_body_points(monkeypatch):
+    """The hyper modulator has tests of its own; here a body is 50 points."""
+    monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
 
 
 def compiled(source, folder):
@@ -123,6 +130,7 @@ def test_a_program_in_c(small_bound_file, tmp_path):
     assert subprocess.run([program, small_bound_file], check=True, capture_output=True, text=True).stdout == "0\n"
 
 
+@pytest.mark.usefixtures("few_body_points")
 def test_effective_gravity(c, tmp_path):
     """Python's bits, zero and 9.81 m/s2 among them; what is refused writes nothing."""
     rng = np.random.default_rng(60)
@@ -147,7 +155,7 @@ def test_effective_gravity(c, tmp_path):
     c.physkin_close(garment)
 
 
-@pytest.mark.usefixtures("exact_network_weights")
+@pytest.mark.usefixtures("exact_network_weights", "few_body_points")
 @pytest.mark.parametrize("network", [False, True])
 def test_a_root_that_moves(network, c, tmp_path):
     """As Python's drapes with time and root, for every amount of sway, over a jump, a gap, a stamp that comes again, a
@@ -181,7 +189,7 @@ def test_a_root_that_moves(network, c, tmp_path):
         c.physkin_close(each)
 
 
-@pytest.mark.usefixtures("exact_network_weights")
+@pytest.mark.usefixtures("exact_network_weights", "few_body_points")
 def test_wind(c, tmp_path):
     """As Python's drapes in the same wind, of roots at rest and in motion; what cannot blow is refused."""
     rng = np.random.default_rng(62)
@@ -291,16 +299,16 @@ def refusal(c, data) -> str:
 def test_files_that_are_cut_off_or_changed_are_refused(c, small_bound_file):
     """At any byte, by the checksum; where that fits again, what a file is cut off within is named."""
     data = small_bound_file.read_bytes()
-    for size in range(len(data)):
+    for size in [*range(2000), *range(2000, len(data), 23)]:
         anew = "no bound garment" if size < 16 else "cut off or damaged: its checksum does not match"
         assert anew in refusal(c, data[:size])
-    for size in range(16, len(data), 7):
+    for size in range(16, len(data), 31):
         assert "the file ends within" in refusal(c, resealed(data[:size]))
-    for at in range(0, len(data), 5):
+    for at in range(0, len(data), 23):
         refusal(c, data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
     assert "goes on behind its last array" in refusal(c, resealed(data + b"\0"))
     loaded = 0
-    for at in range(16, len(data) - 4, 31):  # some bytes are of numbers, which may have other values
+    for at in range(16, len(data) - 4, 97):  # some bytes are of numbers, which may have other values
         status, garment = load(c, resealed(data[:at] + bytes(4) + data[at + 4 :]))
         assert status in (OK, BAD_FILE) and len(c.physkin_last_error()) <= 300
         loaded += status == OK
@@ -338,15 +346,8 @@ def test_other_files_are_refused(change, message, c, bare_file):
     ("change", "message"),
     [
         (lambda g: {"normals": g.normals[:49]}, "49 for a size of normals of garment 0; allowed: 50 to 50"),
-        (lambda g: {"vertices": g.vertices[:, :2].copy()}, "2 for a size of vertices of garment 0; allowed: 3 to 3"),
         (lambda g: {"bone_heads": np.nan * g.bone_heads}, "bone_heads[0] is nan"),
-        (lambda g: {"node_bone": g.node_bone + np.int32(5)}, "must be in [0, 5)"),
-        (lambda g: {"pose_layers": ()}, "pose_layers is empty"),
-        (lambda g: {"pose_layers": g.pose_layers[1:]}, "pose_layers[0] has 16 inputs; expected 10"),
-        (
-            lambda g: {"pose_layers": g.pose_layers * 30},
-            "90 for the number of pose_layers of garment 0",
-        ),
+        (lambda g: {"pose_layers": g.pose_layers * 30}, "90 for the number of pose_layers of garment 0"),
     ],
 )
 def test_other_garments_are_refused(change, message, c, bare_file):

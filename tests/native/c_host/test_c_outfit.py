@@ -19,9 +19,9 @@ def c():
 
 @pytest.fixture(scope="module")
 def two_layers():
-    """A T-shirt over trousers, on the bundled avatar."""
+    """A T-shirt over trousers, all of it, on the bundled avatar."""
     models = [load_garment_model(name) for name in ("trousers", "tshirt")]
-    return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
+    return Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), hide_covered=False)
 
 
 @pytest.fixture(scope="module")
