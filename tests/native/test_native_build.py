@@ -56,8 +56,8 @@ def check_kernels_define_no_shared_inline_functions(library):
 
 @pytest.fixture
 def odd_files(make_garment, tmp_path):
-    """Bound files of garments of odd sizes, each alone and twice: with a sway network and a fabric, some with detail, faces,
-    and kept out of the skin."""
+    """Bound files of garments of odd sizes, each alone and twice: with a sway network and a fabric, some with detail,
+    faces, and kept out of the skin."""
     files = []
     for size in (1, 2, 3, 7, 15, 16, 17, 31, 32, 33, 64, 100):
         rng, widths = np.random.default_rng(size), (size, size)
