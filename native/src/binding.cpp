@@ -92,11 +92,11 @@ class BoundSkinner {
   float* features_;
 };
 
-// (name, type, axes) of every field of a bound garment.
+// (name, type, whether its rows are vertices) of every field of a bound garment.
 nb::list described_fields() {
   nb::list fields;
   for (const FieldDescription& field : bound_garment_fields()) {
-    fields.append(nb::make_tuple(field.name, field.type, nb::tuple(nb::cast(field.axes))));
+    fields.append(nb::make_tuple(field.name, field.type, field.per_vertex));
   }
   return fields;
 }

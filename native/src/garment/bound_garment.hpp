@@ -117,10 +117,10 @@ constexpr std::uint32_t kBoundFileVersion = 11;
 SkinningData read_skinning_data(FieldSource& source);
 BoundGarment read_bound_garment(FieldSource& source);
 
-// One field as others are to know it: "float32", "int32" or "layers", and the names of its axes ("3" for a number).
+// One field as others are to know it: "float32", "int32" or "layers", and whether its rows are vertices.
 struct FieldDescription {
   std::string name, type;
-  std::vector<std::string> axes;
+  bool per_vertex;
 };
 std::vector<FieldDescription> bound_garment_fields();
 
