@@ -48,7 +48,7 @@ test-slow: $(VENV)/installed-test
 	$(PYTEST) -m slow
 
 bench: $(VENV)/installed-bench
-	PYTHONPATH=native $(VENV)/bin/python -m physkin_bench
+	PYTHONPATH=training $(VENV)/bin/python -m physkin_bench
 
 # A site, in build/site, with docs/architecture.svg drawn anew; after `make wasm` with a figure whose clothes are live.
 docs: $(VENV)/installed-docs

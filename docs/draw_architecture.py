@@ -16,7 +16,7 @@ from import_graph import NATIVE, ROOT, Module, modules, room_graph
 DRAWING = ROOT / "docs" / "architecture.svg"
 COLUMNS = {"physkin_ros": "#e3eefb", "physkin_core": "#e6f4e4", "physkin_training": "#fdeedd"}
 """Packages side by side, and the colours of their rooms."""
-FOOT = ("physkin_bench", "physkin_prepare", "physkin_studies")
+FOOT = ("physkin_bench", "physkin_prepare")
 """Packages drawn as one box below: those that are not installed."""
 FOOT_COLOUR = "#f0f0f0"
 NATIVE_SENTENCE = "The evaluator in C++ (native/), which computes a frame."

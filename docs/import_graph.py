@@ -26,8 +26,7 @@ PACKAGES = {
     "physkin_ros": "physkin_ros",
     "physkin_training": "training/physkin_training",
     "physkin_prepare": "training/physkin_prepare",
-    "physkin_studies": "training/physkin_studies",
-    "physkin_bench": "native/physkin_bench",
+    "physkin_bench": "training/physkin_bench",
 }
 """Import package -> its folder in the repository."""
 INSTALLED = ("physkin_core", "physkin_ros", "physkin_training")

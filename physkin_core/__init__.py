@@ -7,7 +7,6 @@ from physkin_core.model.fabric import FABRICS, Fabric, with_fabric
 from physkin_core.model.garment import Garment, GarmentError, load_garment
 from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
-from physkin_core.model.skinning import NORMALS
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.outfit.draper import Draper
@@ -23,7 +22,6 @@ from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 __all__ = [
     "BUNDLED_AVATAR",
     "FABRICS",
-    "NORMALS",
     "UPRIGHT_GRAVITY",
     "Avatar",
     "AvatarError",

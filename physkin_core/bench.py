@@ -1,6 +1,6 @@
 """`physkin bench`: time a frame of a garment and its stages on one thread of this machine.
 
-`make bench` in a clone measures more: other engines, the machine's limits, cold caches.
+`make bench` in a clone measures more: other engines, cold caches.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Safetensors files from anywhere: garment models, bound garments and clips are read from their bytes, and sealed.
+"""Safetensors files from anywhere: garment models and clips are read from their bytes, and sealed.
 
-The seal is a SHA-256 digest over all metadata and tensors. native/src/file_format/tensor_file.cpp computes the same.
+The seal is a SHA-256 digest over all metadata and tensors.
 """
 
 from __future__ import annotations

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
+import zlib
 from pathlib import Path
 
 import numpy as np
 
 from physkin_core.native_module import native
+from physkin_core.runtime.bound_file import save_bound_outfit
 
 NATIVE = Path(__file__).parents[1] / "native"
 OK, BAD_ARGUMENT, BAD_FILE, BAD_POSE = range(4)
@@ -26,11 +28,10 @@ def build_library(folder, compiler="c++", *flags, options=()):
     return folder
 
 
-def build_program(library, source, compiler="c++", *flags, inner=()):
-    """Builds a C++ test program on a library built with the same compiler and flags; returns it. inner: sources of the
-    C library that it uses behind its interface."""
+def build_program(library, source, compiler="c++", *flags):
+    """Builds a C++ test program on a library built with the same compiler and flags; returns it."""
     program = library / Path(source).stem
-    command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", "-I", NATIVE / "include", source, *inner]
+    command = [compiler, "-std=c++17", "-O1", *flags, "-I", NATIVE / "src", "-I", NATIVE / "include", source]
     command += [
         "-o",
         program,
@@ -44,17 +45,27 @@ def build_program(library, source, compiler="c++", *flags, inner=()):
     return program
 
 
+def save_one(garment, path, *, name="g", joint_names=None, fabrics=("as bound",)):
+    """A bound garment file of one garment; its joints are `joint 0` and so on unless named."""
+    joint_names = joint_names or [f"joint {k}" for k in range(len(garment.dof_bone))]
+    save_bound_outfit([garment], path, names=[name], joint_names=joint_names, fabrics=[fabrics])
+
+
+def resealed(data: bytes) -> bytes:
+    """A bound garment file with a checksum that fits, as someone would give it who knows the format."""
+    return data[:12] + zlib.crc32(data[16:]).to_bytes(4, "little") + data[16:]
+
+
 class Options(ctypes.Structure):
     _fields_ = [
         ("size", ctypes.c_uint32),
-        ("normals_from_faces", ctypes.c_int32),
         ("precision", ctypes.c_char_p),
         ("instruction_set", ctypes.c_char_p),
     ]
 
 
-def options(normals_from_faces=0, precision=None, instruction_set=None):
-    return Options(ctypes.sizeof(Options), normals_from_faces, precision, instruction_set)
+def options(precision=None, instruction_set=None):
+    return Options(ctypes.sizeof(Options), precision, instruction_set)
 
 
 def c_library():

@@ -1,5 +1,5 @@
 /* Drapes a garment in one pose and prints it as a Wavefront OBJ:
- *     drape shirt.bound.safetensors [JOINT RADIANS]... > shirt.obj */
+ *     drape shirt.physkin [JOINT RADIANS]... > shirt.obj */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

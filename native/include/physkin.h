@@ -1,7 +1,7 @@
 /* PhySkin for hosts other than Python: joint positions in, garment vertices and normals out. Plain C99.
  *
  * A host loads a bound garment, a file that holds one garment on one body, or an outfit of several, written once by
- *     physkin bind AVATAR --garment MODEL [--garment MODEL ...] -o NAME.bound.safetensors
+ *     physkin bind AVATAR --garment MODEL [--garment MODEL ...] -o NAME.physkin
  * and then calls physkin_step every frame. docs/c-host.md shows how, and how to convert to Unity's axes.
  *
  * Metres, radians; root frame of the body: right-handed, X forward, Y left, Z up.
@@ -26,7 +26,7 @@ extern "C" {
 #endif
 
 /* Raised when a host built against an older header would break. */
-#define PHYSKIN_ABI_VERSION 2
+#define PHYSKIN_ABI_VERSION 3
 
 /* ABI version of the loaded library; compare it with PHYSKIN_ABI_VERSION before anything else. */
 PHYSKIN_API int32_t physkin_abi_version(void);
@@ -45,11 +45,9 @@ PHYSKIN_API const char* physkin_last_error(void);
 
 typedef struct physkin_garment physkin_garment;
 
-/* A null pointer in place of options, or of a string in them, means the default. A garment with detail has normals of
- * the posed mesh in any case. */
+/* A null pointer in place of options, or of a string in them, means the default. */
 typedef struct physkin_options {
-  uint32_t size;               /* sizeof(physkin_options), which may grow: what a shorter one lacks is default */
-  int32_t normals_from_faces;  /* 0: rest normals carried along; 1: of the posed mesh, slower and truer */
+  uint32_t size;               /* sizeof(physkin_options) */
   const char* precision;       /* of network weights: "fp32", "bf16", "int8" (default) */
   const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */
 } physkin_options;
@@ -131,7 +129,7 @@ PHYSKIN_API const char* physkin_instruction_set(const physkin_garment* garment);
 /* What skinning needs of a physkin_msgs/GarmentMesh; members are its fields, and arrays as long as it says of them. Read by
  * physkin_skinner_open only. feature_count to detail_influences are 0, and detail arrays null, of one without detail. */
 typedef struct physkin_mesh {
-  uint32_t size; /* sizeof(physkin_mesh), which may grow */
+  uint32_t size; /* sizeof(physkin_mesh) */
   int32_t vertex_count, face_count, node_count, influences, feature_count, detail_node_count, detail_influences;
   const uint32_t* faces; /* (face_count, 3), null where face_count is 0 */
   const float* rest_vertices;

@@ -1,13 +1,10 @@
 // physkin_core._native: checks and converts, computes nothing.
+#include "bindings.hpp"
 #include "evaluator/body_encoder.hpp"
 #include "evaluator/evaluator.hpp"
 #include "evaluator/skinner.hpp"
-#include "frame_binding.hpp"
-#include "joints_binding.hpp"
-#include "kernels/machine_floors.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
-#include "separation_binding.hpp"
 #include "sway/frame_input.hpp"
 
 namespace nb = nanobind;
@@ -49,9 +46,8 @@ BodyEncoder body_encoder(const nb::dict& network) {
 }
 
 // Without the interpreter's lock: `network` is the caller's own, nobody else takes arrays out of it.
-void encode(const nb::dict& network, nb::handle points, nb::handle normals,
-            const nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& out,
-            const std::optional<std::string>& instruction_set) {
+void encode(const nb::dict& network, nb::handle points, nb::handle normals, const WrittenFloats& out,
+            const Text& instruction_set) {
   const BodyEncoder encoder = body_encoder(network);
   std::vector<int> shape{-1, 3};
   const float* at = view<float>(points, "points", shape);
@@ -63,7 +59,6 @@ void encode(const nb::dict& network, nb::handle points, nb::handle normals,
 }
 
 using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using FeatureArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 // A garment without its networks.
 class BoundSkinner {
@@ -79,7 +74,7 @@ class BoundSkinner {
         }()),
         features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
 
-  void skin(const TransformArray& node_transforms, const OutputArray& out, const FeatureArray& features) {
+  void skin(const TransformArray& node_transforms, const OutputArray& out, const Floats& features) {
     check_shape(node_transforms, "node_transforms", {skinner_.nodes(), 3, 4});
     check_shape(features, "features", {skinner_.features()});
     std::copy_n(features.data(), skinner_.features(), features_);
@@ -96,11 +91,11 @@ class BoundSkinner {
   float* features_;
 };
 
-// (name, type, axes) of every field of a bound garment.
+// (name, type, whether its rows are vertices) of every field of a bound garment.
 nb::list described_fields() {
   nb::list fields;
   for (const FieldDescription& field : bound_garment_fields()) {
-    fields.append(nb::make_tuple(field.name, field.type, nb::tuple(nb::cast(field.axes))));
+    fields.append(nb::make_tuple(field.name, field.type, field.per_vertex));
   }
   return fields;
 }
@@ -121,7 +116,7 @@ nb::dict constants() {
   d["encoding_frequencies"] = kEncodingFrequencies;
   d["heads"] = kHeads;
   d["capsule_blur"] = kCapsuleBlur;
-  d["bound_garment_version"] = kBoundGarmentVersion;
+  d["bound_file_version"] = kBoundFileVersion;
   d["skin_bones"] = kSkinBones;
   d["no_height"] = kNoHeight;
   d["turns"] = kTurns;
@@ -135,7 +130,6 @@ nb::dict constants() {
 NB_MODULE(_native, module) {
   nb::set_leak_warnings(false);  // a bound frame that a script keeps until the interpreter ends is none
   using physkin::BoundSkinner;
-  using physkin::MachineProbe;
   using physkin::Text;
   nb::class_<BoundSkinner>(module, "Skinner")
       .def(nb::init<nb::handle, const Text&>(), "skinning_data"_a, "precision"_a = nb::none())
@@ -148,13 +142,4 @@ NB_MODULE(_native, module) {
   physkin::bind_frame(module);
   physkin::bind_joints(module);
   physkin::bind_separation(module);
-  nb::class_<MachineProbe>(module, "MachineProbe")
-      .def(
-          "__init__",
-          [](MachineProbe* self, std::int64_t bytes, const Text& instruction_set) {
-            new (self) MachineProbe(physkin::select_kernels(instruction_set.value_or("")), bytes);
-          },
-          "bytes"_a, "instruction_set"_a = nb::none())
-      .def("read", &MachineProbe::read, "fetch_ahead"_a)
-      .def("multiply_add", &MachineProbe::multiply_add, "rounds"_a);
 }

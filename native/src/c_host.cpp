@@ -20,9 +20,8 @@ struct physkin_garment {
     std::vector<std::string> fabrics;
   };
 
-  physkin_garment(const physkin::BoundFile& file, const physkin::Kernels& kernels,
-                  const physkin::EvaluatorOptions& options)
-      : evaluator(file.garments, kernels, options),
+  physkin_garment(const physkin::BoundFile& file, const physkin::c_interface::Wanted& how)
+      : evaluator(file.garments, *how.kernels, how.precision),
         input(int(file.garments.size())),
         rows(file.garments.size()),
         joint_names(file.joint_names) {
@@ -84,9 +83,7 @@ physkin_status open(const unsigned char* data, std::size_t size, const physkin_o
   const Wanted how(given);
   const physkin::BoundFile file(data, size);
   try {
-    *garment =
-        std::make_unique<physkin_garment>(file, *how.kernels, physkin::EvaluatorOptions{how.precision, how.normals})
-            .release();
+    *garment = std::make_unique<physkin_garment>(file, how).release();
   } catch (const std::invalid_argument& error) {
     throw physkin::FileError(error.what());
   }

@@ -37,29 +37,13 @@ physkin_status fail(const Rejection& bad) noexcept {
 }
 
 Wanted::Wanted(const physkin_options* given) {
-  physkin_options options{};
-  if (given != nullptr) {
-    // A host built against an older header has a shorter structure: members that it lacks stay at their defaults.
-    constexpr std::size_t kEnds[] = {offsetof(physkin_options, normals_from_faces),
-                                     offsetof(physkin_options, precision), offsetof(physkin_options, instruction_set),
-                                     sizeof options};
-    std::size_t known = 0;
-    for (const std::size_t end : kEnds) {
-      if (given->size >= end) known = end;
-    }
-    if (known == 0) {
-      throw std::invalid_argument("options.size is " + std::to_string(given->size) +
-                                  "; set it to sizeof(physkin_options)");
-    }
-    std::memcpy(&options, given, known);
+  if (given != nullptr && given->size < sizeof *given) {
+    throw std::invalid_argument("options.size is " + std::to_string(given->size) +
+                                "; set it to sizeof(physkin_options)");
   }
-  if (options.normals_from_faces != 0 && options.normals_from_faces != 1) {
-    throw std::invalid_argument("options.normals_from_faces is " + std::to_string(options.normals_from_faces) +
-                                "; must be 0 or 1");
-  }
+  const physkin_options options = given == nullptr ? physkin_options{} : *given;
   kernels = &select_kernels(options.instruction_set == nullptr ? "" : options.instruction_set);
   precision = select_precision(options.precision == nullptr ? "" : options.precision);
-  normals = options.normals_from_faces != 0 ? Normals::faces : Normals::skinned;
 }
 
 }  // namespace physkin::c_interface

@@ -7,7 +7,7 @@
 #include <stdexcept>
 
 #include "evaluator/skinner.hpp"
-#include "file_format/tensor_file.hpp"
+#include "file_format/bound_file.hpp"
 #include "garment/finite.hpp"
 #include "kernels/kernels.hpp"
 #include "physkin.h"
@@ -43,13 +43,12 @@ physkin_status check_rows(std::int32_t columns, std::ptrdiff_t stride) noexcept;
 // PHYSKIN_BAD_POSE for what a frame was refused for.
 physkin_status fail(const Rejection& bad) noexcept;
 
-// What is computed by, from options that may be null or of an older, shorter header. Throws std::invalid_argument.
+// What is computed by, from options that may be null. Throws std::invalid_argument.
 struct Wanted {
   explicit Wanted(const physkin_options* given);
 
   const Kernels* kernels;
   Precision precision;
-  Normals normals;
 };
 
 }  // namespace physkin::c_interface

@@ -53,7 +53,7 @@ physkin::SkinningData skinning_data(const physkin_mesh& mesh) {
 
 struct physkin_skinner {
   physkin_skinner(const physkin::SkinningData& data, const physkin::c_interface::Wanted& how)
-      : skinner(data, how.precision, *how.kernels, arena, how.normals),
+      : skinner(data, how.precision, *how.kernels, arena),
         features(arena.take<float>(std::size_t(physkin::padded_to_group(skinner.features()) + physkin::kGroup))) {}
 
   physkin::Arena arena;

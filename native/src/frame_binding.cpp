@@ -1,6 +1,5 @@
 // The part of physkin_core._native that computes frames: checks and converts, computes nothing.
-#include "frame_binding.hpp"
-
+#include "bindings.hpp"
 #include "evaluator/evaluator.hpp"
 #include "python_arrays.hpp"
 #include "sway/frame_input.hpp"
@@ -12,13 +11,8 @@ namespace physkin {
 namespace {
 
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using InputArray = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using RowArray = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Outputs = std::vector<OutputArray>;
-
-void raise_if_wrong(const char* wrong) {
-  if (wrong != nullptr) throw nb::value_error(wrong);
-}
 
 const double* vector_of(const Vector& array, const char* name, int size) {
   check_shape(array, name, {size});
@@ -27,7 +21,7 @@ const double* vector_of(const Vector& array, const char* name, int size) {
 
 int checked_garment(int garment, int count) {
   if (garment < 0 || garment >= count) {
-    throw nb::index_error(("garment " + std::to_string(garment) + " of " + std::to_string(count)).c_str());
+    throw std::out_of_range("garment " + std::to_string(garment) + " of " + std::to_string(count));
   }
   return garment;
 }
@@ -42,16 +36,15 @@ LayerOrderData layer_order_data(PythonReader& reader, nb::handle order) {
 // Garments that are evaluated together, and what keeps their order. They are packed while other Python threads run.
 class BoundEvaluator {
  public:
-  BoundEvaluator(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision,
-                 const std::string& normals)
+  BoundEvaluator(const nb::list& garments, const nb::list& orders, const Text& instruction_set, const Text& precision)
       : evaluator_([&] {
           PythonReader reader;
           std::vector<BoundGarment> bound;
           for (nb::handle garment : garments) bound.push_back(reader.bound_garment(garment));
           const Kernels& kernels = select_kernels(instruction_set.value_or(""));
-          const EvaluatorOptions options = evaluator_options(precision, normals);
+          const Precision chosen = select_precision(precision.value_or(""));
           const nb::gil_scoped_release release;
-          return Evaluator(bound, kernels, options);
+          return Evaluator(bound, kernels, chosen);
         }()) {
     PythonReader reader;
     for (nb::handle order : orders) {
@@ -70,7 +63,7 @@ class BoundEvaluator {
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
 class BoundStep {
  public:
-  BoundStep(nb::handle evaluator, InputArray joint_positions, RowArray inputs, Outputs outs)
+  BoundStep(nb::handle evaluator, Floats joint_positions, RowArray inputs, Outputs outs)
       : owner_(nb::borrow(evaluator)),
         evaluator_(nb::cast<BoundEvaluator&>(evaluator).evaluator()),
         joint_positions_(std::move(joint_positions)),
@@ -79,14 +72,13 @@ class BoundStep {
     check_shape(joint_positions_, "joint_positions", {evaluator_.dofs()});
     check_shape(inputs_, "inputs", {evaluator_.count(), kGarmentInput});
     if (outs_.size() != std::size_t(evaluator_.count())) {
-      throw nb::value_error(("out has " + std::to_string(outs_.size()) + " arrays; expected one for each of " +
-                             std::to_string(evaluator_.count()) + " garments")
-                                .c_str());
+      throw std::invalid_argument("out has " + std::to_string(outs_.size()) + " arrays; expected one for each of " +
+                                  std::to_string(evaluator_.count()) + " garments");
     }
     for (std::size_t k = 0; k < outs_.size(); ++k) {
       rows_.push_back(vertex_rows(outs_[k], evaluator_[int(k)].vertex_count()));
       if (rows_[k].with_normals != rows_[0].with_normals) {
-        throw nb::value_error("arrays of out must all have normals, or none");
+        throw std::invalid_argument("arrays of out must all have normals, or none");
       }
     }
   }
@@ -95,7 +87,7 @@ class BoundStep {
     if (const Rejection bad = evaluator_.step(joint_positions_.data(), inputs(), rows_.data())) {
       const std::string garment =
           evaluator_.count() > 1 ? "garment " + std::to_string(evaluator_.rejected()) + ": " : "";
-      throw nb::value_error((garment + bad.message()).c_str());
+      throw std::invalid_argument(garment + bad.message());
     }
   }
   void pose() { evaluator_.pose(joint_positions_.data(), inputs()); }
@@ -112,7 +104,7 @@ class BoundStep {
 
   nb::object owner_;
   Evaluator& evaluator_;
-  InputArray joint_positions_;
+  Floats joint_positions_;
   RowArray inputs_;
   Outputs outs_;
   std::vector<VertexRows> rows_;
@@ -133,7 +125,7 @@ class BoundLayerOrder {
 
   void apply(const OutputArray& steady, const OutputArray& yielding, bool look_at_all, float passed) {
     const VertexRows stays = vertex_rows(steady, steady_), moves = vertex_rows(yielding, yielding_);
-    if (!stays.with_normals || !moves.with_normals) throw nb::value_error("both layers must have normals");
+    if (!stays.with_normals || !moves.with_normals) throw std::invalid_argument("both layers must have normals");
     order_.apply(stays, moves, look_at_all, passed);
   }
 
@@ -167,20 +159,15 @@ nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(F
 
 void bind_frame(nb::module_& module) {
   nb::class_<BoundEvaluator>(module, "Evaluator")
-      .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&, const std::string&>(), "garments"_a,
-           "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none(),
-           "normals"_a = "skinned")
+      .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&>(), "garments"_a,
+           "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none())
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
       .def("features", features, "garment"_a = 0)
-      .def(
-          "skinning_multiply_adds",
-          [](BoundEvaluator& self, int garment) { return self.garment(garment).skinning_multiply_adds(); },
-          "garment"_a = 0)
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })
       .def_prop_ro("precision", [](BoundEvaluator& self) { return precision_name(self.evaluator().precision()); });
   nb::class_<BoundStep>(module, "Step")
-      .def(nb::init<nb::handle, InputArray, RowArray, Outputs>(), "evaluator"_a, "joint_positions"_a.noconvert(),
+      .def(nb::init<nb::handle, Floats, RowArray, Outputs>(), "evaluator"_a, "joint_positions"_a.noconvert(),
            "inputs"_a.noconvert(), "outs"_a.noconvert())
       .def("step", &BoundStep::step, "Computes one frame from what the bound input arrays hold now.")
       .def("pose", &BoundStep::pose)
@@ -200,7 +187,7 @@ void bind_frame(nb::module_& module) {
       .def(
           "move",
           [](RootTracker& self, double time, const Vector& root) {
-            raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
+            raise_if(self.move(time, vector_of(root, "root", 7)));
             return self.sample();
           },
           "time"_a, "root"_a);
@@ -217,35 +204,31 @@ void bind_frame(nb::module_& module) {
           "garment"_a)
       .def(
           "set_wind",
-          [](FrameInput& self, const Vector& velocity) {
-            raise_if_wrong(self.set_wind(vector_of(velocity, "wind", 3)));
-          },
+          [](FrameInput& self, const Vector& velocity) { raise_if(self.set_wind(vector_of(velocity, "wind", 3))); },
           "velocity"_a)
       .def("wind",
            [](const FrameInput& self) { return nb::make_tuple(self.wind()[0], self.wind()[1], self.wind()[2]); })
       .def("reset", &FrameInput::reset)
       .def(
           "hang",
-          [](FrameInput& self, const Vector& direction) {
-            raise_if_wrong(self.hang(vector_of(direction, "gravity", 3)));
-          },
+          [](FrameInput& self, const Vector& direction) { raise_if(self.hang(vector_of(direction, "gravity", 3))); },
           "direction"_a)
       .def(
           "accelerate",
           [](FrameInput& self, const Vector& gravity, const std::optional<Vector>& at_rest) {
             const double* rest = at_rest ? vector_of(*at_rest, "at_rest", 3) : nullptr;
-            raise_if_wrong(self.accelerate(vector_of(gravity, "effective_gravity", 3), rest));
+            raise_if(self.accelerate(vector_of(gravity, "effective_gravity", 3), rest));
           },
           "effective_gravity"_a, "at_rest"_a = nb::none())
       .def("follow", &FrameInput::follow, "root"_a)
       .def(
           "move",
           [](FrameInput& self, double time, const Vector& root) {
-            raise_if_wrong(self.move(time, vector_of(root, "root", 7)));
+            raise_if(self.move(time, vector_of(root, "root", 7)));
           },
           "time"_a, "root"_a)
       .def(
-          "begin_frame", [](FrameInput& self, double time) { raise_if_wrong(self.begin_frame(time)); }, "time"_a)
+          "begin_frame", [](FrameInput& self, double time) { raise_if(self.begin_frame(time)); }, "time"_a)
       .def("begin_still_frame", &FrameInput::begin_still_frame)
       .def_prop_ro("rows", rows);
 }

@@ -1,4 +1,5 @@
-// How physkin_core._native takes arrays and objects of Python: checked, viewed or copied.
+// How physkin_core._native takes arrays and objects of Python: checked, viewed or copied. What is wrong is thrown as
+// std::invalid_argument, which is a ValueError in Python.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -10,6 +11,7 @@
 #include <cstdlib>
 #include <initializer_list>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -24,6 +26,8 @@ namespace nb = nanobind;
 using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 // A float64, read-only or strided array would be converted into a copy that nobody reads; every use is noconvert.
 using OutputArray = nb::ndarray<float, nb::ndim<2>, nb::device::cpu>;
+using Floats = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using WrittenFloats = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 inline std::string shape_text(const std::vector<int>& shape) {
   std::string text;
@@ -38,7 +42,7 @@ void check_shape(const Array& array, const char* name, std::initializer_list<int
   for (std::size_t axis = 0; good && axis < shape.size(); ++axis) {
     good = array.shape(axis) == std::size_t(shape.begin()[axis]);
   }
-  if (!good) throw nb::value_error((std::string(name) + " must have shape " + shape_text(shape)).c_str());
+  if (!good) throw std::invalid_argument(std::string(name) + " must have shape " + shape_text(shape));
 }
 
 // Views one array of the garment: dtype T, C-contiguous. A negative size in `shape` allows any and is filled in.
@@ -55,9 +59,8 @@ const T* view(nb::handle object, const std::string& name, std::vector<int>& shap
     stride *= shape[axis];
   }
   if (!good) {
-    throw nb::value_error((name + " must be a C-contiguous " + (std::is_same_v<T, float> ? "float32" : "int32") +
-                           " array of shape " + shape_text(wanted))
-                              .c_str());
+    throw std::invalid_argument(name + " must be a C-contiguous " + (std::is_same_v<T, float> ? "float32" : "int32") +
+                                " array of shape " + shape_text(wanted));
   }
   return static_cast<const T*>(array.data());
 }
@@ -121,29 +124,28 @@ class PythonReader : public FieldSource {
   std::vector<nb::object> held_;
 };
 
+inline void raise_if(const char* wrong) {
+  if (wrong != nullptr) throw std::invalid_argument(wrong);
+}
 inline void raise_if(const Rejection& rejection) {
-  if (rejection) throw nb::value_error(rejection.message().c_str());
+  if (rejection) throw std::invalid_argument(rejection.message());
 }
 
 inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
   const std::size_t columns = out.shape(1);
   if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
-    throw nb::value_error(("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected (" +
-                           std::to_string(vertex_count) + ", 3) or (" + std::to_string(vertex_count) + ", 6)")
-                              .c_str());
+    throw std::invalid_argument("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected " +
+                                shape_text({vertex_count, 3}) + " or " + shape_text({vertex_count, 6}));
   }
-  if (out.stride(1) != 1) throw nb::value_error("a row of out must be contiguous; rows may be any distance apart");
+  if (out.stride(1) != 1)
+    throw std::invalid_argument("a row of out must be contiguous; rows may be any distance apart");
   const std::int64_t stride = out.stride(0);
   if (vertex_count > 1 && std::uint64_t(std::abs(stride)) < columns) {
-    throw nb::value_error(("rows of out overlap: they are " + std::to_string(stride) + " floats apart").c_str());
+    throw std::invalid_argument("rows of out overlap: they are " + std::to_string(stride) + " floats apart");
   }
   return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
 }
 
 using Text = std::optional<std::string>;  // None: from the environment, or the default
-
-inline EvaluatorOptions evaluator_options(const Text& precision, const std::string& normals) {
-  return {select_precision(precision.value_or("")), select_normals(normals)};
-}
 
 }  // namespace physkin

@@ -1,16 +1,7 @@
 // The part of physkin_core._native that separates limbs: checks and converts, computes nothing.
-#include "separation_binding.hpp"
-
-#include <nanobind/ndarray.h>
-#include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
-
-#include <cstdint>
-#include <optional>
-#include <string>
-#include <vector>
-
+#include "bindings.hpp"
 #include "kernels/dispatch.hpp"
+#include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
 
 namespace nb = nanobind;
@@ -19,56 +10,47 @@ using namespace nb::literals;
 namespace physkin {
 namespace {
 
-using Given = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Separated = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
 template <class T>
 void read(nb::handle shape, const char* name, std::vector<T>& values) {
   nb::ndarray<const T, nb::c_contig, nb::device::cpu> array;
   if (!nb::try_cast(nb::object(shape.attr(name)), array, false)) {
     const char* type = std::is_same_v<T, float> ? "float32" : "int32";
-    throw nb::value_error((std::string(name) + " must be a C-contiguous " + type + " array").c_str());
+    throw std::invalid_argument(std::string(name) + " must be a C-contiguous " + type + " array");
   }
   values.assign(array.data(), array.data() + array.size());
 }
 
-void make(LimbSeparator* self, nb::handle object, const SeparationSettings& settings, const std::string& set) {
-  CollisionShape shape;
-  read(object, "parents", shape.parents);
-  read(object, "heads", shape.heads);
-  read(object, "dof_bone", shape.dof_bone);
-  read(object, "dof_axis", shape.dof_axis);
-  read(object, "dof_rest", shape.dof_rest);
-  read(object, "dof_lower", shape.dof_lower);
-  read(object, "dof_upper", shape.dof_upper);
-  read(object, "trunk_bones", shape.trunk_bones);
-  read(object, "trunk_heights", shape.trunk_heights);
-  read(object, "trunk_frame", shape.trunk_frame);
-  read(object, "trunk_coefficients", shape.trunk_coefficients);
-  read(object, "sphere_bone", shape.sphere_bone);
-  read(object, "sphere_centre", shape.sphere_centre);
-  read(object, "sphere_radius", shape.sphere_radius);
-  read(object, "sphere_limb", shape.sphere_limb);
-  read(object, "sphere_joints", shape.sphere_joints);
-  read(object, "capsules", shape.capsules);
-  read(object, "groups", shape.groups);
-  read(object, "group_reach", shape.group_reach);
-  read(object, "pairs", shape.pairs);
-  read(object, "allowed", shape.allowed);
-  read(object, "limb_start", shape.limb_start);
-  read(object, "limb_dofs", shape.limb_dofs);
-  read(object, "limb_kind", shape.limb_kind);
-  new (self) LimbSeparator(std::move(shape), settings, select_kernels(set));
+void make(LimbSeparator* self, nb::handle object, float onset, float softness, float pull, float damping, float blend,
+          int steps, const Text& instruction_set) {
+  CollisionShape s;
+  const std::pair<const char*, std::vector<std::int32_t>*> integers[] = {
+      {"parents", &s.parents},         {"dof_bone", &s.dof_bone},       {"trunk_bones", &s.trunk_bones},
+      {"sphere_bone", &s.sphere_bone}, {"sphere_limb", &s.sphere_limb}, {"sphere_joints", &s.sphere_joints},
+      {"capsules", &s.capsules},       {"groups", &s.groups},           {"pairs", &s.pairs},
+      {"limb_start", &s.limb_start},   {"limb_dofs", &s.limb_dofs},     {"limb_kind", &s.limb_kind}};
+  const std::pair<const char*, std::vector<float>*> floats[] = {{"heads", &s.heads},
+                                                                {"dof_axis", &s.dof_axis},
+                                                                {"dof_rest", &s.dof_rest},
+                                                                {"dof_lower", &s.dof_lower},
+                                                                {"dof_upper", &s.dof_upper},
+                                                                {"trunk_heights", &s.trunk_heights},
+                                                                {"trunk_frame", &s.trunk_frame},
+                                                                {"trunk_coefficients", &s.trunk_coefficients},
+                                                                {"sphere_centre", &s.sphere_centre},
+                                                                {"sphere_radius", &s.sphere_radius},
+                                                                {"group_reach", &s.group_reach},
+                                                                {"allowed", &s.allowed}};
+  for (const auto& [name, values] : integers) read(object, name, *values);
+  for (const auto& [name, values] : floats) read(object, name, *values);
+  const SeparationSettings settings{onset, softness, pull, damping, blend, steps};
+  new (self) LimbSeparator(std::move(s), settings, select_kernels(instruction_set.value_or("")));
 }
 
-float separate(LimbSeparator& self, const Given& joint_positions, const Separated& out) {
-  if (joint_positions.size() != std::size_t(self.dofs()) || out.size() != std::size_t(self.dofs())) {
-    throw nb::value_error(("joint_positions and out must have shape (" + std::to_string(self.dofs()) + ",)").c_str());
-  }
+float separate(LimbSeparator& self, const Floats& joint_positions, const WrittenFloats& out) {
+  check_shape(joint_positions, "joint_positions", {self.dofs()});
+  check_shape(out, "out", {self.dofs()});
   float change = 0.0f;
-  if (const Rejection bad = self.separate(joint_positions.data(), out.data(), &change)) {
-    throw nb::value_error(bad.message().c_str());
-  }
+  raise_if(self.separate(joint_positions.data(), out.data(), &change));
   return change;
 }
 
@@ -76,14 +58,8 @@ float separate(LimbSeparator& self, const Given& joint_positions, const Separate
 
 void bind_separation(nb::module_& module) {
   nb::class_<LimbSeparator>(module, "LimbSeparator")
-      .def(
-          "__init__",
-          [](LimbSeparator* self, nb::handle shape, float onset, float softness, float pull, float damping, float blend,
-             int steps, const std::optional<std::string>& instruction_set) {
-            make(self, shape, {onset, softness, pull, damping, blend, steps}, instruction_set.value_or(""));
-          },
-          "shape"_a, "onset"_a, "softness"_a, "pull"_a, "damping"_a, "blend"_a, "steps"_a,
-          "instruction_set"_a = nb::none())
+      .def("__init__", &make, "shape"_a, "onset"_a, "softness"_a, "pull"_a, "damping"_a, "blend"_a, "steps"_a,
+           "instruction_set"_a = nb::none())
       .def("separate", &separate, "joint_positions"_a.noconvert(), "out"_a.noconvert());
 }
 

@@ -39,7 +39,7 @@ class Outfit {
     this.joints.forEach(({ name }, joint) => this.#index.set(name, joint));
     this.#positions = Float32Array.from(this.joints, ({ rest }) => rest);
     this.bones = bonesOf(this.joints);
-    this.metadata = metadataOf(file);
+    this.metadata = textsOf(file);
     const parts = native.physkin_part_count(this.#handle);
     this.garments = Array.from({ length: parts }, (_, part) => this.#readGarment(part));
   }
@@ -197,10 +197,16 @@ class Outfit {
 
 // --- Files ---
 
-// Of a bound file: its text entries, as `physkin bind` wrote them; numbers are for the module to read.
-function metadataOf(file) {
-  const header = new DataView(file.buffer, file.byteOffset).getUint32(0, true);
-  return JSON.parse(new TextDecoder().decode(file.subarray(8, 8 + header))).__metadata__;
+// Texts of a bound file that was opened, which are for hosts such as this one and come first (bound_file.py).
+function textsOf(file) {
+  const [view, decoder] = [new DataView(file.buffer, file.byteOffset), new TextDecoder()];
+  let at = 16;
+  const number = () => view.getUint32((at += 4) - 4, true);
+  const text = () => {
+    const size = number();
+    return decoder.decode(file.subarray(at, (at += size)));
+  };
+  return Object.fromEntries(Array.from({ length: number() }, () => [text(), text()]));
 }
 
 // Joints are called BONE_x, BONE_y or BONE_z; those of one bone turn it in their order.

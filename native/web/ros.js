@@ -78,12 +78,12 @@ export class GarmentSkin {
     const [module, words] = [this.#module, 1 + COUNTS.length + ARRAYS.length];
     const places = ARRAYS.map(([field, Type, length]) => placed(module, mesh, field, Type, length(mesh)));
     const precision = module.write(mesh.precision);
-    const [given, options] = [module.room(4 * words), module.room(16)];
+    const [given, options] = [module.room(4 * words), module.room(12)];
     const handle = module.room(4);
     try {
       const counts = COUNTS.map((field) => mesh[field]);
       module.view(Uint32Array, given, words).set([4 * words, ...counts, ...places]);
-      module.view(Uint32Array, options, 4).set([16, 0, precision, 0]);
+      module.view(Uint32Array, options, 3).set([12, precision, 0]);
       module.check(module.native.physkin_skinner_open(given, options, handle));
       return module.view(Uint32Array, handle, 1)[0];
     } catch (error) {

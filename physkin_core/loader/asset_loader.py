@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 from weakref import WeakValueDictionary
 
 from physkin_core.loader.memory import return_memory
@@ -31,28 +30,22 @@ class AssetLoader:
 
     def __init__(self, *, seconds: float = LOAD_TIMEOUT, memory: int = LOAD_MEMORY_LIMIT) -> None:
         self._worker = Worker("physkin_core.loader.loading_process", seconds=seconds, memory=memory)
-        self._worn: WeakValueDictionary[tuple[str, Precision | None, str], Outfit] = WeakValueDictionary()
+        self._worn: WeakValueDictionary[tuple[str, Precision | None], Outfit] = WeakValueDictionary()
 
     @property
     def pid(self) -> int:
         """Of the process that loads."""
         return self._worker.pid
 
-    def outfit(
-        self,
-        request: OutfitRequest,
-        *,
-        precision: Precision | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
-    ) -> tuple[Outfit, LoadedOutfit]:
+    def outfit(self, request: OutfitRequest, *, precision: Precision | None = None) -> tuple[Outfit, LoadedOutfit]:
         """An outfit, and what else was asked for. One that is worn already, by whomever, shares its arrays."""
         worn = dict(self._worn)
-        known = tuple(key for key, *how in worn if how == [precision, normals])
+        known = tuple(key for key, other in worn if other == precision)
         what = f"{', '.join(garment.model for garment in request.garments)} on {request.body}"
         loaded: LoadedOutfit = self._worker.ask(replace(request, known=known), what)
-        key = loaded.key, precision, normals
+        key = loaded.key, precision
         if loaded.bound is not None:
-            outfit = Outfit.from_bound(loaded.bound, precision=precision, normals=normals)
+            outfit = Outfit.from_bound(loaded.bound, precision=precision)
         else:
             outfit = worn[key].twin()
             outfit.avatar = replace(outfit.avatar, source=request.body)  # the same body may have another name

@@ -10,10 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["NORMALS", "SkinningData", "cofactors", "skinning_matrices", "unit"]
-
-NORMALS = ("skinned", "faces")
-"""Where normals come from: rest normals carried along, or the draped mesh's faces."""
+__all__ = ["SkinningData", "cofactors", "skinning_matrices", "unit"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +18,8 @@ class SkinningData:
     """A garment as skinning takes it. Float arrays are float32, all C-contiguous; metres.
 
     node_rest: (m, 3) garment nodes at rest on the garment (translation of chi-bar).
-    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries to the draped garment's.
+    vertices: (n, 3) rest garment; normals: (n, 3) unit, what skinning carries along where there
+    are no faces, which give the draped garment's otherwise.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
     faces: (f, 3) int32 triangles of the vertices; empty for a point set.
     detail_offsets: (3 D, F), what a feature of 1 adds to x, y and z of each detail node; detail_nodes: (n, J) int32,

@@ -33,7 +33,7 @@ class Draper:
     Args:
         model: the garment model.
         avatar: the body, bound to the model's rig.
-        precision, fit, normals: as for `Outfit`.
+        precision, fit: as for `Outfit`.
         points: (n, 3) [m], optional: other points of the same garment to drape instead of its mesh, in canonical space.
             They have no faces.
         point_normals: (n, 3) unit normals of these points.
@@ -44,7 +44,7 @@ class Draper:
 
     Raises:
         TypeError, ValueError: as `Outfit` does.
-        ValueError: for points that do not lie on this garment, or `normals="faces"` for points without faces.
+        ValueError: for points that do not lie on this garment.
 
     Examples:
         >>> model = physkin.load_garment_model("tshirt")
@@ -61,12 +61,11 @@ class Draper:
         *,
         precision: Precision | None = None,
         fit: float | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
         points: np.ndarray | None = None,
         point_normals: np.ndarray | None = None,
     ) -> None:
         self.model = model
-        self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision, normals=normals)
+        self.outfit = Outfit([WornGarment(model, fit=fit)], avatar, precision=precision)
         self._bone_rotations: dict[str, BoneRotations] = {}
         if points is not None:
             bound = self.layer.bound

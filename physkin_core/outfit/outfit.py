@@ -13,7 +13,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -52,9 +52,6 @@ class Outfit:
             their own (`WornGarment.fit`). Above 0 it needs garments that were trained on the default rig
             (`load_body_model().rig`). None: 1 with that rig, 0 with others. Above 0, binding takes some tenths of a
             second longer; frames take the same time.
-        normals: "skinned": rest normals are carried along with their vertices; "faces": they are computed from the
-            draped mesh, which is truer where cloth ripples or slides, and takes about 2 ns a vertex. A garment with
-            detail nodes always uses "faces".
         hide_covered: leave out of the clouds what outer garments cover in everyday poses; `Layer.visible` lists the
             vertices that remain. False: clouds have all vertices.
         own_clothes: what pictures show of clothes that the avatar wears already. "replace": all but those that the
@@ -69,7 +66,7 @@ class Outfit:
     Raises:
         TypeError: for anything but garments and an avatar.
         ValueError: for what cannot be worn (a garment twice, more than four, several rigs, a body of another rig, an
-            impossible tuck or order), a fit that is not possible, an unknown precision or kind of normals.
+            impossible tuck or order), a fit that is not possible, an unknown precision.
 
     Examples:
         >>> trousers, tshirt = map(physkin.load_garment_model, ("trousers", "tshirt"))
@@ -85,13 +82,12 @@ class Outfit:
         *,
         precision: Precision | None = None,
         fit: float | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
         hide_covered: bool = True,
         own_clothes: OwnClothes = "replace",
     ) -> None:
         worn = _checked_garments(garments, avatar)
         bound = bind_outfit(worn, avatar, fit=fit, hide_covered=hide_covered, own_clothes=own_clothes)
-        self._wear(bound, precision, normals)
+        self._wear(bound, precision)
         for warning in bound.worth_saying:
             warnings.warn(warning, AvatarWarning, stacklevel=2)
 
@@ -101,27 +97,26 @@ class Outfit:
         bound: BoundOutfit,
         *,
         precision: Precision | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
     ) -> Outfit:
         """An outfit that has been bound already, perhaps by another process. It issues no warnings again.
 
         Raises:
-            ValueError: for an unknown precision or kind of normals, or arrays that do not fit together.
+            ValueError: for an unknown precision, or arrays that do not fit together.
         """
         outfit = cls.__new__(cls)
-        outfit._wear(bound, precision, normals)
+        outfit._wear(bound, precision)
         return outfit
 
-    def _wear(self, bound: BoundOutfit, precision: Precision | None, normals: Literal["skinned", "faces"]) -> None:
+    def _wear(self, bound: BoundOutfit, precision: Precision | None) -> None:
         self.avatar, self.warnings, self.orders = bound.avatar, bound.avatar.warnings, bound.orders
         self._body_hidden = bound.body_hidden
-        self._made: dict[str, Any] = {"precision": precision, "normals": normals}
+        self._asked = precision
         self._begin(bound.layers)
 
     def _begin(self, layers: Sequence[Layer]) -> None:
         """Make what a frame writes to."""
         self.layers = tuple(layers)
-        self._evaluator = Evaluator([layer.bound_visible for layer in layers], self.orders, **self._made)
+        self._evaluator = Evaluator([layer.bound_visible for layer in layers], self.orders, precision=self._asked)
         self.frame_input = FrameInput(len(layers))
         self._warned_of_degrees = False
 

@@ -24,7 +24,7 @@ __all__ = ["BoundGarment", "plain_skinning"]
 class BoundGarment(SkinningData):
     """Constant arrays of the per-frame path for one (garment model, body) pair, those of `SkinningData` among them.
 
-    native/src/garment/bound_garment.cpp lists the same fields with their types and axes: `native.bound_garment_fields`.
+    native/src/garment/bound_garment.cpp lists the same fields with their types: `native.bound_garment_fields`.
     The evaluator, the bound garment file and `of_vertices` follow that list.
 
     bone_parents: (b,) int32, parent before child, -1 for the root.
@@ -112,9 +112,8 @@ class BoundGarment(SkinningData):
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
         """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""
-        counted = ("vertices", "detail vertices") if self.detail_layers else ("vertices",)
-        per_vertex = [name for name, _, axes in native.bound_garment_fields() if axes and axes[0] in counted]
-        kept = {name: np.ascontiguousarray(getattr(self, name)[vertices]) for name in per_vertex}
+        arrays = {name: getattr(self, name) for name, _, per_vertex in native.bound_garment_fields() if per_vertex}
+        kept = {name: np.ascontiguousarray(array[vertices]) for name, array in arrays.items() if len(array)}
         return replace(self, faces=faces, **kept)
 
 

@@ -53,17 +53,16 @@ class Evaluator:
         activations rounded to 16 bits and the layers that read bone transforms and the pose vector in bf16. By default
         the environment variable PHYSKIN_NATIVE_PRECISION decides, and without it "int8", which no quality figure tells
         from "fp32" for models rounded to it (docs/notebook/benchmark.md).
-    normals: "skinned", rest normals carried along, or "faces", those of the posed mesh's faces around each vertex,
-        weighted by area: slower, and right where the cloth ripples. A mesh with detail has those in any case: rest
-        normals know nothing of its folds.
+
+    Normals are those of the posed mesh's faces around each vertex, weighted by area; where there are no faces, rest
+    normals are carried along.
 
     Building one takes milliseconds, without the interpreter's lock: other threads go on. Network weights must not be
     changed meanwhile.
 
     Raises ValueError if an array of a bound garment has another dtype, shape or layout than its class states, an index
     is out of range, a value is not finite, garments are of several rigs or bodies, the instruction set is unknown or
-    not supported by this CPU, the precision or `normals` are unknown, or normals are those of faces and a garment has
-    none.
+    not supported by this CPU, or the precision is unknown.
     """
 
     def __init__(
@@ -73,9 +72,8 @@ class Evaluator:
         *,
         instruction_set: str | None = None,
         precision: Precision | None = None,
-        normals: Literal["skinned", "faces"] = "skinned",
     ) -> None:
-        self._evaluator = native.Evaluator(list(bounds), list(orders), instruction_set, precision, normals)
+        self._evaluator = native.Evaluator(list(bounds), list(orders), instruction_set, precision)
 
     @property
     def instruction_set(self) -> str:
@@ -124,10 +122,6 @@ class Evaluator:
         """What moves the detail nodes in the last frame, (F,) float32, zeros before the first one; (0,) of a garment
         without detail."""
         return self._evaluator.features(garment).copy()
-
-    def skinning_multiply_adds(self, garment: int = 0) -> int:
-        """Those that blend the matrices of garment nodes, and work out and blend the offsets of detail nodes."""
-        return self._evaluator.skinning_multiply_adds(garment)
 
 
 def drape_poses(

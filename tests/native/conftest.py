@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from model_files import save_bound_garment
 from native_frames import told
+from native_library import save_one
 from random_models import random_detail, random_layers, random_sway_network, unit_rows
 
 from physkin_core.model.sway_network import fold_body
@@ -88,9 +88,8 @@ def small_bound_file(tmp_path_factory):
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
     garment = replace(random_bound_garment(rng, learnt_sway=True, detail_nodes=9, fabrics=2), faces=faces)
-    path = tmp_path_factory.mktemp("bound") / "small.bound.safetensors"
-    names = {"joint_names": [f"joint {k}" for k in range(7)], "fabrics": ["jersey", "silk", "felt"]}
-    save_bound_garment(garment, path, name="small", **names)
+    path = tmp_path_factory.mktemp("bound") / "small.physkin"
+    save_one(garment, path, name="small", fabrics=["jersey", "silk", "felt"])
     return path
 
 

@@ -44,8 +44,7 @@ def check_any_step(data, level, make_garment, make_pose):
     garment, face_count = make_garment(rng, **shape, detail_nodes=detail_nodes), data.draw(st.integers(0, 140))
     faces = rng.integers(0, shape["vertices"], size=(face_count, 3)).astype(np.int32)
     garment = replace(garment, faces=faces)
-    normals = data.draw(st.sampled_from(["skinned", "faces"])) if face_count else "skinned"
-    frame = NativeFrame([garment], instruction_set=level, precision=precision, normals=normals)
+    frame = NativeFrame([garment], instruction_set=level, precision=precision)
     pose, gravity = make_pose(rng, garment)
     inputs = np.concatenate([pose, gravity])
     for index, value in data.draw(st.dictionaries(st.integers(0, len(inputs) - 1), ANY_FLOAT, max_size=2)).items():

@@ -37,9 +37,10 @@ def test_agree_with_the_reference(vertices, level, with_faces):
     rng = np.random.default_rng(vertices)
     garment, pose, gravity = with_faces(rng, vertices)
     row = told(gravity)
-    (expected,) = clouds(ReferenceFrame([garment], normals="faces"), [garment], pose, row)
-    (skinned,) = clouds(NativeFrame([garment], instruction_set=level), [garment], pose, row)
-    frame = NativeFrame([garment], instruction_set=level, normals="faces")
+    (expected,) = clouds(ReferenceFrame([garment]), [garment], pose, row)
+    bare = replace(garment, faces=garment.faces[:0])
+    (skinned,) = clouds(NativeFrame([bare], instruction_set=level), [bare], pose, row)
+    frame = NativeFrame([garment], instruction_set=level)
     message = bytearray(b"\7" * (vertices * 36 + 3))
     out = np.frombuffer(message, dtype=np.float32, offset=3).reshape(vertices, 9)
     before = out[:, 6:].copy()
@@ -78,7 +79,7 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
     around = np.bincount(garment.faces.ravel())
     assert around.min() <= 3 and around.max() >= 8 and len(set(around)) > 5
     pose, gravity = make_pose(rng, garment)
-    (out,) = clouds(NativeFrame([garment], instruction_set=level, normals="faces"), [garment], pose, told(gravity))
+    (out,) = clouds(NativeFrame([garment], instruction_set=level), [garment], pose, told(gravity))
     a, b, c = out[garment.faces.T, :3].astype(np.float64)
     sums, areas = np.zeros((points, 3)), np.zeros(points)
     np.add.at(sums, garment.faces, np.cross(b - a, c - a)[:, None])
@@ -89,9 +90,9 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_mesh_with_detail_has_them_without_being_asked(level, make_garment, make_pose, monkeypatch):
-    """Rest normals know nothing of folds. Positions are the same; so is what is skinned by garment nodes and features.
-    Without faces, normals are carried along."""
+def test_detail_turns_them(level, make_garment, make_pose, monkeypatch):
+    """Rest normals, which are carried along without faces, know nothing of folds. Positions are the same; so is what is
+    skinned by garment nodes and features."""
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", level)
     rng = np.random.default_rng(41)
     plain = make_garment(rng, vertices=90, detail_nodes=12)
@@ -99,9 +100,8 @@ def test_a_mesh_with_detail_has_them_without_being_asked(level, make_garment, ma
     pose, gravity = make_pose(rng, garment)
     frame, row = NativeFrame([garment]), told(gravity)
     (shown,) = clouds(frame, [garment], pose, row)
-    (asked,) = clouds(NativeFrame([garment], normals="faces"), [garment], pose, row)
     (carried,) = clouds(NativeFrame([plain]), [plain], pose, row)
-    assert np.array_equal(shown, asked) and np.array_equal(shown[:, :3], carried[:, :3])
+    assert np.array_equal(shown[:, :3], carried[:, :3])
     assert np.median(np.abs(shown[:, 3:] - carried[:, 3:]).max(axis=1)) > 0.1
     (expected,) = clouds(ReferenceFrame([garment]), [garment], pose, row)
     assert np.median(np.abs(shown - expected).max(axis=1)) < 1e-5
@@ -136,18 +136,14 @@ def cloth_of(vertices, faces):
     return np.concatenate([vertices, vertex_normals(vertices, faces)], axis=1).astype(np.float32)
 
 
-def test_draper_takes_them_from_the_mesh_it_draped(monkeypatch):
+def test_points_carry_theirs_along(monkeypatch):
+    """A garment's mesh has normals of its faces; its vertices, draped as points, have the model's rest normals."""
     monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
     rng = np.random.default_rng(71)
     model = random_model(rng)
     avatar, pose = random_avatar(rng, model.rig), random_pose(rng, model.rig)
-    draped = Draper(model, avatar, normals="faces").drape(*pose)
+    draped = Draper(model, avatar).drape(*pose)
     expected = vertex_normals(draped[:, :3].astype(np.float64), model.garment.faces)
     assert np.abs(draped[:, 3:] - expected).max() < 1e-4
-    assert np.abs(Draper(model, avatar).drape(*pose)[:, 3:] - expected).max() > 0.01
-    for options, message in (
-        (dict(normals="smooth"), "may be skinned or faces"),
-        (dict(normals="faces", points=model.garment.vertices[:9]), "need a garment with faces"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            Draper(model, avatar, **options)
+    points = Draper(model, avatar, points=model.garment.vertices).drape(*pose)
+    assert np.abs(points[:, :3] - draped[:, :3]).max() < 1e-5 and np.abs(points[:, 3:] - expected).max() > 0.01

@@ -20,14 +20,14 @@ JUMP = 0.5
 class ReferenceFrame:
     """Drapes bound garments of one body frame by frame, as they are worn together, the innermost first.
 
-    bounds: `BoundGarment`s. orders: the product's `LayerOrder`s, what keeps every two layers in order. normals:
-    "skinned", rest normals carried along, or "faces", those of the posed mesh, as a mesh with detail has in any case.
+    bounds: `BoundGarment`s. orders: the product's `LayerOrder`s, what keeps every two layers in order.
+    Normals are those of the posed mesh; without faces, rest normals are carried along.
     """
 
-    def __init__(self, bounds, orders=(), normals="skinned"):
+    def __init__(self, bounds, orders=()):
         self._garments = [_Garment(bound) for bound in bounds]
         self._orders = [(order.steady, order.yielding, LayerOrder(order)) for order in orders]
-        self._normals, self._last = normals, None
+        self._last = None
 
     def evaluate(self, joint_positions, rows, outs):
         """Write one frame. joint_positions: (d,). rows: (g, 13), a `FrameInput` each. outs: of each garment (n, 6), x,
@@ -47,7 +47,7 @@ class ReferenceFrame:
                     passed = -1.0 if jumps.any() else inputs[yielding].passed
                     order.apply(layers[steady], layers[yielding], look_at_all=jumps.any(), passed=passed)
         for garment, layer, out in zip(self._garments, layers, outs):
-            if self._normals == "faces" or (garment.bound.detail_layers and len(garment.bound.faces)):
+            if len(garment.bound.faces):
                 layer[:, 3:] = face_normals(layer[:, :3], garment.bound.faces)
             out[:] = layer[:, : out.shape[1]]
 

@@ -1,10 +1,16 @@
-// Small fixed-size matrices for bones and garment nodes, row-major; single precision where not said otherwise.
+// Small fixed-size matrices and a blend for bones and garment nodes, row-major; single precision where not said otherwise.
 #pragma once
 
 #include <algorithm>
 #include <cmath>
 
 namespace physkin {
+
+// From 0 to 1 as u does, and level at both ends.
+inline float smooth_step(float u) {
+  u = std::clamp(u, 0.0f, 1.0f);
+  return u * u * (3 - 2 * u);
+}
 
 template <class Real>
 struct Vector3Of {

@@ -14,7 +14,6 @@ SkinningData as_vertices(const BoundGarment& g, const ClothSampling& of) {
   data.influences = of.influences;
   data.node_rest = g.node_rest;
   data.vertices = of.vertices;
-  data.normals = of.vertices;  // nobody asks for them
   data.influence_nodes = of.influence_nodes;
   data.influence_weights = of.influence_weights;
   data.detail_vertices = of.detail_influences > 0 ? of.samples : 0;

@@ -34,11 +34,11 @@ Rejection check(const GarmentInput& input) {
 
 }  // namespace
 
-Evaluator::Evaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, const EvaluatorOptions& options)
-    : kernels_(kernels), precision_(options.precision) {
+Evaluator::Evaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, Precision precision)
+    : kernels_(kernels), precision_(precision) {
   if (garments.empty()) throw std::invalid_argument("there must be at least one garment to evaluate");
   for (const BoundGarment& garment : garments) {
-    garments_.push_back(std::make_unique<GarmentEvaluator>(garment, kernels, options));
+    garments_.push_back(std::make_unique<GarmentEvaluator>(garment, kernels, precision));
     if (!same_rig(garments.front(), garment)) {
       throw std::invalid_argument("garment " + std::to_string(garments_.size() - 1) +
                                   " has another rig or body than garment 0; they must have one");

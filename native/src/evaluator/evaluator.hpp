@@ -18,7 +18,7 @@ class Evaluator {
  public:
   // Garments on one body, the innermost first. Throws std::invalid_argument if there is none, one is malformed, or they
   // have not one rig.
-  Evaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, const EvaluatorOptions& options = {});
+  Evaluator(const std::vector<BoundGarment>& garments, const Kernels& kernels, Precision precision);
   Evaluator(const Evaluator&) = delete;
   Evaluator& operator=(const Evaluator&) = delete;
 

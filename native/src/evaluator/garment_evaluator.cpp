@@ -33,21 +33,21 @@ const BoundGarment& validated(const BoundGarment& garment) {
 
 }  // namespace
 
-GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, const EvaluatorOptions& options)
+GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, Precision precision)
     : rig_(validated(g), arena_),
-      pose_modulator_(g.pose_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
+      pose_modulator_(g.pose_layers, of_first_layers(precision), precision, kernels, arena_),
       fabric_modulations_(
           padded_rows(g.fabric_modulations, g.fabrics, g.fabric_modulation, pose_modulator_.modulation_room(), arena_)),
       fabric_weights_(arena_.copy(g.fabric_weights, g.fabrics)),
       fabric_sway_shifts_(arena_.copy(g.fabric_sway_shifts, std::size_t(g.fabrics) * std::size_t(g.fabric_sway))),
       fabric_sway_(g.fabric_sway),
-      node_deformer_(g.deformer_layers, of_first_layers(options.precision), options.precision, kernels, arena_),
-      detail_features_(g.has_detail() ? std::make_optional<Mlp>(g.detail_layers, options.precision, options.precision,
-                                                                kernels, arena_, Activation::silu)
+      node_deformer_(g.deformer_layers, of_first_layers(precision), precision, kernels, arena_),
+      detail_features_(g.has_detail() ? std::make_optional<Mlp>(g.detail_layers, precision, precision, kernels, arena_,
+                                                                Activation::silu)
                                       : std::optional<Mlp>()),
-      learnt_sway_(g.sways_by_network() ? std::make_optional<LearntSway>(g, of_first_layers(options.precision),
-                                                                         options.precision, kernels, arena_)
-                                        : std::optional<LearntSway>()),
+      learnt_sway_(g.sways_by_network()
+                       ? std::make_optional<LearntSway>(g, of_first_layers(precision), precision, kernels, arena_)
+                       : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       feature_pace_(g.has_detail() ? std::make_optional<FeaturePace>(g, arena_) : std::optional<FeaturePace>()),
@@ -56,7 +56,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
                                  : std::optional<SkinGuard>()),
       cloth_dents_(g.is_dented() ? std::make_optional<ClothDents>(g, skin_, kernels, arena_)
                                  : std::optional<ClothDents>()),
-      skinner_(g, options.precision, kernels, arena_, options.normals),
+      skinner_(g, precision, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),

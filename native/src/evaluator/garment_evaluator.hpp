@@ -23,15 +23,10 @@ namespace physkin {
 // [rad], and of gravity: where a frame differs from the last one by more, that one does not count.
 constexpr float kJump = 0.5f;
 
-struct EvaluatorOptions {
-  Precision precision = Precision::fp32;
-  Normals normals = Normals::skinned;
-};
-
 class GarmentEvaluator {
  public:
-  // Validates and copies the garment; throws std::invalid_argument.
-  GarmentEvaluator(const BoundGarment& garment, const Kernels& kernels, const EvaluatorOptions& options);
+  // Validates and copies the garment; throws std::invalid_argument. precision: of network weights.
+  GarmentEvaluator(const BoundGarment& garment, const Kernels& kernels, Precision precision);
   GarmentEvaluator(const GarmentEvaluator&) = delete;  // its members point into its own arena
   GarmentEvaluator& operator=(const GarmentEvaluator&) = delete;
 
@@ -69,7 +64,6 @@ class GarmentEvaluator {
   int nodes() const { return garment_nodes_.count(); }
   int feature_count() const { return skinner_.features(); }
   int vertex_count() const { return skinner_.vertex_count(); }
-  std::int64_t skinning_multiply_adds() const { return skinner_.multiply_adds(); }
 
  private:
   void forget_pace() noexcept;

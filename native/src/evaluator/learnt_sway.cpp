@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "evaluator/affine.hpp"
 #include "garment/finite.hpp"
 
 namespace physkin {
@@ -16,11 +17,6 @@ std::vector<DenseWeights> part(const std::vector<DenseWeights>& layers, int firs
 float softly(double value, double largest) {
   const double share = value / largest;
   return float(value / std::sqrt(1 + share * share));
-}
-
-float smooth_step(float u) {
-  u = std::clamp(u, 0.0f, 1.0f);
-  return u * u * (3 - 2 * u);
 }
 
 Oscillators oscillators_of(const BoundGarment& g, Arena& arena) {

@@ -1,7 +1,5 @@
 #include "evaluator/skinner.hpp"
 
-#include <numeric>
-#include <stdexcept>
 #include <vector>
 
 #include "evaluator/affine.hpp"
@@ -15,13 +13,7 @@ void skinning_matrices(const float* node_transforms, const float* node_rest, int
   }
 }
 
-Normals select_normals(const std::string& name) {
-  if (name == "skinned") return Normals::skinned;
-  if (name == "faces") return Normals::faces;
-  throw std::invalid_argument("normals '" + name + "' are unknown; they may be skinned or faces");
-}
-
-Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena, Normals normals)
+Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(data.nodes),
       features_(data.has_detail() ? data.detail_features : 0),
@@ -33,24 +25,13 @@ Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& k
     const DenseWeights offsets{data.detail_numbers, data.detail_features, data.detail_offsets, no_bias.data()};
     detail_offsets_.emplace(std::vector<DenseWeights>{offsets}, precision, precision, kernels, arena);
   }
-  if (normals == Normals::faces || (data.has_detail() && data.face_count > 0)) {
+  if (data.face_count > 0) {
     face_normals_.emplace(data, kernels, arena);
     auto* places = arena.take<std::int32_t>(std::size_t(blocks_.block_count) * kBlock);
     for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
     blocks_into_places_ = blocks_;
     blocks_into_places_.vertex = places;
   }
-}
-
-std::int64_t Skinner::multiply_adds() const {
-  const auto nodes_of_halves = [&](const NodeRange* ranges) {
-    return std::accumulate(ranges, ranges + 2 * std::ptrdiff_t(blocks_.block_count), std::int64_t{0},
-                           [](std::int64_t sum, const NodeRange& range) { return sum + range.end - range.begin; });
-  };
-  const std::int64_t matrices = nodes_of_halves(blocks_.influences);
-  if (!detail_offsets_) return kHalf * 12 * matrices;
-  const std::int64_t offsets = nodes_of_halves(blocks_.details);
-  return kHalf * (12 * matrices + 3 * offsets) + std::int64_t(detail_offsets_->outputs()) * features_;
 }
 
 Rejection Skinner::check(const float* node_transforms) const noexcept {

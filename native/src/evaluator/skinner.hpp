@@ -2,7 +2,6 @@
 #pragma once
 
 #include <optional>
-#include <string>
 
 #include "evaluator/face_normals.hpp"
 #include "evaluator/mlp.hpp"
@@ -19,19 +18,12 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
 // chi_i * inverse of each garment node's rest transform, what the kernel takes. All (nodes, 3, 4), node_rest (nodes, 3).
 void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept;
 
-// Where normals come from: rest normals carried by skinning, or the faces of the posed mesh. Those of a mesh with detail
-// are of its faces in any case, for rest normals know nothing of folds.
-enum class Normals { skinned, faces };
-
-// "skinned" or "faces"; throws std::invalid_argument for another name.
-Normals select_normals(const std::string& name);
-
+// Normals are those of the posed mesh's faces, weighted by area: rest normals know nothing of ripples and folds. Where
+// there are no faces, as of points, skinning carries rest normals along.
 class Skinner {
  public:
-  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes. Throws
-  // std::invalid_argument for normals of faces without any.
-  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena,
-          Normals normals = Normals::skinned);
+  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes.
+  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena);
 
   // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
   Rejection check(const float* node_transforms) const noexcept;
@@ -55,8 +47,6 @@ class Skinner {
   int nodes() const { return nodes_; }
   int features() const { return features_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
-  // That blend the matrices of garment nodes, and work out and blend the offsets of detail nodes.
-  std::int64_t multiply_adds() const;
 
  private:
   const Kernels& kernels_;

@@ -244,7 +244,7 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
     vertex[i] = order[i];
     for (int c = 0; c < 3; ++c) {
       rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
-      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals[3 * v + c];
+      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals == nullptr ? 0.0f : g.normals[3 * v + c];
     }
   }
   blocks.rest = rest;

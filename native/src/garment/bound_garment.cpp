@@ -124,42 +124,11 @@ struct Describer {
 
   void floats(const char* name, const float*, Shape shape) const { add(name, "float32", shape); }
   void indices(const char* name, const std::int32_t*, Shape shape, int, int) const { add(name, "int32", shape); }
-  void layers(const char* name, const std::vector<DenseWeights>&) const { add(name, "layers", {}); }
+  void layers(const char* name, const std::vector<DenseWeights>&) const { fields.push_back({name, "layers", false}); }
 
   void add(const char* name, const char* type, Shape shape) const {
-    const std::pair<const int*, const char*> sizes[] = {{&g.nodes, "garment nodes"},
-                                                        {&g.vertex_count, "vertices"},
-                                                        {&g.influences, "influences"},
-                                                        {&g.bones, "bones"},
-                                                        {&g.dofs, "degrees of freedom"},
-                                                        {&g.deformer_bone_count, "deformer bones"},
-                                                        {&g.face_count, "faces"},
-                                                        {&g.fabrics, "fabrics"},
-                                                        {&g.fabric_modulation, "modulation"},
-                                                        {&g.fabric_sway, "sway shifts"},
-                                                        {&g.sway_joint_count, "sway joints"},
-                                                        {&g.sway_states, "oscillators"},
-                                                        {&g.sway_thigh_count, "thighs"},
-                                                        {&g.guard.samples, "guard samples"},
-                                                        {&g.guard.influences, "guard influences"},
-                                                        {&g.guard.detail_influences, "guard detail influences"},
-                                                        {&g.dent.samples, "dent samples"},
-                                                        {&g.dent.influences, "dent influences"},
-                                                        {&g.dent.detail_influences, "dent detail influences"},
-                                                        {&g.skin_parts, "skin parts"},
-                                                        {&g.skin_splines, "skin splines"},
-                                                        {&g.detail_vertices, "detail vertices"},
-                                                        {&g.detail_influences, "detail influences"},
-                                                        {&g.detail_numbers, "detail numbers"},
-                                                        {&g.detail_features, "features"}};
-    FieldDescription& field = fields.emplace_back(FieldDescription{name, type, {}});
-    for (const Axis& axis : shape) {
-      std::string found = std::to_string(axis.number);
-      for (const auto& [size, size_name] : sizes) {
-        if (axis.size == size) found = size_name;
-      }
-      field.axes.push_back(found);
-    }
+    const int* rows = shape.begin()->size;
+    fields.push_back({name, type, rows == &g.vertex_count || rows == &g.detail_vertices});
   }
 };
 

@@ -110,17 +110,17 @@ class FieldSource {
   virtual std::vector<DenseWeights> layers(const std::string& name) = 0;
 };
 
-// Of the bound garment file: raised when the fields below change, or the file's form.
-constexpr char kBoundGarmentVersion[] = "10";
+// Of the bound garment file: raised when the fields of a garment change, or the file's form.
+constexpr std::uint32_t kBoundFileVersion = 11;
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);
 BoundGarment read_bound_garment(FieldSource& source);
 
-// One field as others are to know it: "float32", "int32" or "layers", and the names of its axes ("3" for a number).
+// One field as others are to know it: "float32", "int32" or "layers", and whether its rows are vertices.
 struct FieldDescription {
   std::string name, type;
-  std::vector<std::string> axes;
+  bool per_vertex;
 };
 std::vector<FieldDescription> bound_garment_fields();
 

@@ -1,6 +1,5 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
 #include "kernels/dense_kernel.hpp"
-#include "kernels/floor_kernel.hpp"
 #include "kernels/oscillator_kernel.hpp"
 #include "kernels/ring_kernel.hpp"
 #include "kernels/skinning_kernel.hpp"
@@ -27,8 +26,6 @@ const Kernels kernels{
     axis_beyond,
     axis_crossed,
     oscillate,
-    multiply_add,
-    read_memory,
     token_linear,
     token_norm,
     token_attention,

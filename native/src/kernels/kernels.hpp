@@ -159,10 +159,6 @@ struct Kernels {
   // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.
   void (*oscillate)(const Oscillators& oscillators, const float* driven, float elapsed);
 
-  // What bounds the others from below (floor_kernel.hpp).
-  std::int64_t (*multiply_add)(int rounds, float* result);
-  void (*read_memory)(const unsigned char* data, std::int64_t bytes, bool fetch_ahead, float* result);
-
   // output tile = activation(W tile + bias), for none and relu.
   void (*token_linear)(const DenseWeights& layer, const float* tile, Activation activation, float* output);
 

@@ -8,17 +8,6 @@
 namespace physkin {
 namespace {
 
-// Which joints move a sphere, by how many.
-constexpr float kFirst[9][8] = {{},
-                                {1},
-                                {1, 1},
-                                {1, 1, 1},
-                                {1, 1, 1, 1},
-                                {1, 1, 1, 1, 1},
-                                {1, 1, 1, 1, 1, 1},
-                                {1, 1, 1, 1, 1, 1, 1},
-                                {1, 1, 1, 1, 1, 1, 1, 1}};
-
 void require(bool good, const char* what) {
   if (!good) throw std::invalid_argument(std::string("collision shape: ") + what);
 }
@@ -302,8 +291,8 @@ void LimbSeparator::meet(const Pair& pair) {
     const Vector3 offset = from - along * capsule.way;
     const float squared = dot(offset, offset) + float(kCapsuleBlur) * float(kCapsuleBlur), most = widest + room;
     if (most <= 0.0f || squared >= most * most) continue;
-    const float distance = std::sqrt(squared), smooth = along * along * (3.0f - 2.0f * along);
-    const float depth = capsule.narrow + smooth * (capsule.wide - capsule.narrow) - distance;
+    const float distance = std::sqrt(squared);
+    const float depth = capsule.narrow + smooth_step(along) * (capsule.wide - capsule.narrow) - distance;
     if (depth + room > 0.0f) give_way(pair, k, {depth, (1.0f / distance) * offset, along}, depth + room);
   }
 }
@@ -339,11 +328,11 @@ void LimbSeparator::give_way(const Pair& pair, int sphere, const Contact& contac
 void LimbSeparator::count(int sphere, int limb, Vector3 point, Vector3 direction, float share, float* way) const {
   const Joints& joints = joints_[limb];
   const Vector3 turn = share * cross(point, direction), along = share * direction;
-  const float* moved = kFirst[shape_.sphere_joints[sphere]];
+  const int moving = shape_.sphere_joints[sphere];  // the limb's first joints: others are below the sphere
   for (int k = 0; k < kMostJoints; ++k) {
-    way[k] +=
-        moved[k] * (joints.axis[0][k] * turn.x + joints.axis[1][k] * turn.y + joints.axis[2][k] * turn.z -
-                    joints.moment[0][k] * along.x - joints.moment[1][k] * along.y - joints.moment[2][k] * along.z);
+    way[k] += (k < moving ? 1.0f : 0.0f) *
+              (joints.axis[0][k] * turn.x + joints.axis[1][k] * turn.y + joints.axis[2][k] * turn.z -
+               joints.moment[0][k] * along.x - joints.moment[1][k] * along.y - joints.moment[2][k] * along.z);
   }
 }
 

@@ -7,11 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from import_graph import ROOT
-
 pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
-from physkin_bench.ros_bench import Case, figures, main  # noqa: E402
+from physkin_ros.tools.ros_bench import Case, figures, main  # noqa: E402
 
 CASE = Case(2, 5.0)  # whose warm-up is the first five joint states of each avatar
 
@@ -40,12 +38,11 @@ def test_wrong_arguments(arguments, capsys):
 
 
 @pytest.mark.slow
-def test_a_run(start, model_path, tmp_path, monkeypatch):
+def test_a_run(start, model_path, tmp_path):
     """Three processes, every cloud received, the same figures on the terminal and in the file."""
     path = tmp_path / "figures.json"
-    monkeypatch.setenv("PYTHONPATH", str(ROOT / "native"))  # not installed
     options = ["-g", str(model_path), "--seconds", "1", "--cases", "2x30", "--queue", "60", "--json", str(path)]
-    bench = start("physkin_bench.ros_bench", *options)
+    bench = start("physkin_ros.tools.ros_bench", *options)
     output, _ = bench.communicate(timeout=180)
     assert bench.returncode == 0, output
     document = json.loads(path.read_text())

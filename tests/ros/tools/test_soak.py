@@ -18,7 +18,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[r
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from physkin_bench.ros_bench import Case, figures  # noqa: E402
+from physkin_ros.tools.ros_bench import Case, figures  # noqa: E402
 from physkin_ros.tools.trial import NodeProcess, node_parameters, play_to_node  # noqa: E402
 
 pytest.importorskip("physkin_msgs", reason="needs physkin_msgs: python msg_defs/wheel/build.py --install")

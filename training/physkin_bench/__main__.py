@@ -1,4 +1,4 @@
-"""`make bench`: `PYTHONPATH=native python -m physkin_bench [MODEL]`."""
+"""`make bench`: `PYTHONPATH=training python -m physkin_bench [MODEL]`."""
 
 from __future__ import annotations
 
@@ -45,18 +45,17 @@ def case_tables(figures: Mapping[str, object]) -> str:
     lines.append(stage_table(figures))
 
     timed = [key.removesuffix(".us.p50") for key in figures if key.endswith(".us.p50")]
-    others = [name for name in timed if name.split(".")[0] in ("face_normals", "separate_limbs", "cold")]
+    others = [name for name in timed if name.split(".")[0] in ("separate_limbs", "cold")]
     lines.append(markdown_table(["", "µs"], [[name, spread(figures, name)] for name in others]))
     rows = []
     for name in (name for name in timed if name.startswith("peers.")):
         ours = f"{'int8' if name.endswith('int8') else 'fp32'}.{supported_instruction_sets()[-1]}"
-        stages = [name.split(".")[1]]
-        stages += ["normals"] if figures["features"] and stages == ["skinning"] else []
+        stages = ["networks"] if ".networks." in name else ["skinning", "normals"]
         times = figures[f"{name}.us.p50"] / sum(figures[f"{ours}.{stage}.us.p50"] for stage in stages)
         rows.append([name, spread(figures, name), f"{ours}.{' + '.join(stages)}", f"{times:.2f}"])
     lines.append(markdown_table(["peer", "µs", "ours", "times as fast"], rows))
-    rest = [key for key in figures if key.startswith(("floor.", "error."))]
-    lines.append(markdown_table(["limit or error", ""], [[key, f"{figures[key]:.3g}"] for key in rest]))
+    errors = [key for key in figures if key.startswith("error.")]
+    lines.append(markdown_table(["error", "mm"], [[key, f"{figures[key]:.3g}"] for key in errors]))
     return "\n".join(lines + [f"missing: {name}: {reason}" for name, reason in figures["missing"].items()])
 
 

@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
-from physkin_core.model.garment import Garment
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.model.skinning import skinning_matrices
@@ -23,7 +22,6 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Skinner
-from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
@@ -45,33 +43,27 @@ POSE_WIDTHS, DEFORMER_WIDTHS = (512,) * 4, (128,) * 4
 class BenchmarkCase:
     """A bound garment and poses for it.
 
-    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 13) float32 as of `FrameInput.rows`. garment: in the rest
-    shape that is worn, for edge strain; None for a random model. limbs: the collision shape of a stout body, and a pose
-    (d,) float32 in which its forearms are inside it; None for another rig than the default one.
+    joint_positions: (P, d) float32 [rad]; inputs: (P, 1, 13) float32 as of `FrameInput.rows`. limbs: the collision
+    shape of a stout body, and a pose (d,) float32 in which its forearms are inside it; None for another rig than the
+    default one.
     """
 
     name: str
     bound: BoundGarment
     joint_positions: np.ndarray
     inputs: np.ndarray
-    garment: Garment | None = None
     limbs: tuple[CollisionShape, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
 class SkinningCase:
-    """Skinning and normals alone. matrices: (m, 3, 4) float32, from rest to posed garment. features: (F,) float32 that
-    move detail nodes. expected: (n, 6) float32."""
+    """Skinning and normals of faces alone. matrices: (m, 3, 4) float32, from rest to posed garment. features: (F,)
+    float32 that move detail nodes. expected: (n, 6) float32."""
 
     bound: BoundGarment
     matrices: np.ndarray
     features: np.ndarray
     expected: np.ndarray
-
-    @property
-    def has_normals_of_faces(self) -> bool:
-        """As a mesh with detail has; others carry rest normals along."""
-        return len(self.features) > 0 and len(self.bound.faces) > 0
 
 
 def skinning_case(bound: BoundGarment, node_transforms: np.ndarray, features: np.ndarray) -> SkinningCase:
@@ -100,13 +92,11 @@ def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
         frames = np.linspace(0, motion.frame_count - 1, POSES_A_MOTION).astype(int)
         positions.append(motion.positions_for(loaded.rig)[frames])
         gravity.append(motion.gravity[frames])
-    bound = bind_garment(loaded, avatar, fit=fit)
     return BenchmarkCase(
         name=loaded.name,
-        bound=bound,
+        bound=bind_garment(loaded, avatar, fit=fit),
         joint_positions=np.concatenate(positions).astype(np.float32),
         inputs=_inputs(np.concatenate(gravity)),
-        garment=loaded.garment.reshaped(bound.vertices) if checked_fit(loaded, fit) else loaded.garment,
         limbs=limbs,
     )
 
@@ -155,6 +145,7 @@ def paper_case() -> BenchmarkCase:
         normals=normals,
         influence_nodes=nodes.astype(np.int32),
         influence_weights=(weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        faces=_tube_faces(RINGS, SEGMENTS),
     )
     poses = rng.uniform(-0.5, 0.5, size=(POSES_A_MOTION, DOFS)).astype(np.float32)
     return BenchmarkCase("paper's sizes", bound, poses, _inputs([UPRIGHT_GRAVITY] * POSES_A_MOTION))
@@ -176,3 +167,12 @@ def _tube(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     height = np.repeat(np.linspace(-0.4, 0.4, rings), segments)
     return (0.2 * normals + height[:, None] * [0, 0, 1]).astype(np.float32), normals.astype(np.float32)
+
+
+def _tube_faces(rings: int, segments: int) -> np.ndarray:
+    """Faces (f, 3) int32 of it, two of every four vertices."""
+    ring = np.arange(segments)
+    ring = np.stack([ring, (ring + 1) % segments], axis=1)
+    quads = np.concatenate([ring, ring[:, ::-1] + segments], axis=1)
+    quads = (quads + segments * np.arange(rings - 1)[:, None, None]).reshape(-1, 4)
+    return np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32)

@@ -1,4 +1,4 @@
-"""What the node delivers, how late, and at what cost: `PYTHONPATH=native python -m physkin_bench.ros_bench`.
+"""What the node delivers, how late, and at what cost: `python -m physkin_ros.tools.ros_bench`.
 
 A publisher process sends joint states of the bundled motion, a node process drapes, a reader process receives the
 clouds; each avatar wears a garment of each `--garment`, their joint states evenly spread in time. What it prints is
@@ -169,7 +169,7 @@ def figures(case: Case, records: Records) -> dict[str, object]:
 
 def command_parser() -> argparse.ArgumentParser:
     """The options."""
-    parser = argparse.ArgumentParser(prog="python -m physkin_bench.ros_bench", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m physkin_ros.tools.ros_bench", description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=file_to_write, metavar="OUT", help="write what is printed to a file, too")
     add_options(parser, "garment", "fit", worn="dress")
     parser.add_argument("--seconds", type=positive, default=5.0, help="of each case, after a warm-up (default 5)")

@@ -1,0 +1,17 @@
+// The parts that binding.cpp puts together to physkin_core._native, each in a source of its own.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace physkin {
+
+// `Evaluator`, `Step`, `LayerOrder`, and what a frame is given: `RootSample`, `RootTracker`, `FrameInput`.
+void bind_frame(nanobind::module_& module);
+// `MessageBeginning`, `JointReading` and `PoseRange`.
+void bind_joints(nanobind::module_& module);
+// `PoseSolver`.
+void bind_motion(nanobind::module_& module);
+// `LimbSeparator`.
+void bind_separation(nanobind::module_& module);
+
+}  // namespace physkin
