@@ -7,7 +7,6 @@ import pytest
 from safetensors.numpy import save
 
 from physkin_core.model import model_file
-from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.tensor_file import DIGEST, content_digest
 
 
@@ -40,8 +39,3 @@ def edited_header(content: bytes, change) -> bytes:
     change(header)
     text = json.dumps(header).encode()
     return len(text).to_bytes(8, "little") + text + content[8 + size :]
-
-
-def save_bound_garment(bound, path, *, name, joint_names, fabrics=("as bound",)) -> None:
-    """Write a bound garment of its own."""
-    save_bound_outfit([bound], path, names=[name], joint_names=joint_names, fabrics=[fabrics])

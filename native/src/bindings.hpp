@@ -9,8 +9,6 @@ namespace physkin {
 void bind_frame(nanobind::module_& module);
 // `MessageBeginning`, `JointReading` and `PoseRange`.
 void bind_joints(nanobind::module_& module);
-// `PoseSolver`.
-void bind_motion(nanobind::module_& module);
 // `LimbSeparator`.
 void bind_separation(nanobind::module_& module);
 
