@@ -43,7 +43,9 @@ def test_the_trained_fabric_changes_nothing(model):
 
 def test_twice_the_weight_hangs_as_under_twice_the_gravity(model):
     heavy = with_fabric(model, replace(JERSEY, density=1.2 * JERSEY.density))
-    np.testing.assert_allclose(draped(heavy), draped(model, times_gravity=1.2), atol=1e-6)
+    positions, normals = np.hsplit(draped(heavy) - draped(model, times_gravity=1.2), [3])
+    assert np.abs(positions).max() < 1e-6
+    assert np.abs(normals).max() < 1e-4  # of faces, whose edges are a centimetre and more long
     assert np.abs(draped(heavy) - draped(model)).max() > 1e-4
 
 
