@@ -9,7 +9,7 @@ from random_models import random_sway_network
 from physkin_core import load_garment_model, save_garment_model
 from physkin_training.dynamics.scenes import RATE_HZ
 from physkin_training.rounding import rounded_sway as rounding
-from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ, Features
+from physkin_training.sway.modules import HIDDEN, LAST, OSCILLATORS, READ, Features, SwayModule
 from physkin_training.sway.motions import MotionPool
 
 
@@ -26,7 +26,7 @@ def test_a_rounded_network_sways_the_same_in_fewer_bytes(tmp_path, monkeypatch):
     seen = Features(model.rig, model.sway.joints, torch.device("cpu"))(*parts, 1 / RATE_HZ)
     codes = torch.randn(4, len(model.sway.code_directions), generator=torch.Generator().manual_seed(2))
     with torch.no_grad():
-        moved, again = (rounding._module(each)(*seen, codes, 1 / RATE_HZ) for each in (model.sway, sway))
+        moved, again = (SwayModule.of(each)(*seen, codes, 1 / RATE_HZ) for each in (model.sway, sway))
     assert 0 < (again - moved).square().mean().sqrt() < 0.15 * moved.square().mean().sqrt()
     bytes_of = []
     for each in (None, model.sway, sway):

@@ -9,7 +9,7 @@ import torch
 from training.small_runs import simulate_walkers_quickly, waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_training.sway import cloth_tuning, learning
+from physkin_training.sway import cloth_tuning, learning, walker_simulation
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
 from physkin_training.sway.fading import sway_share
@@ -22,17 +22,19 @@ BODY_MODEL = load_body_model()
 CPU = torch.device("cpu")
 
 
+OPTIONS = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, within=math.inf, say=lambda text: None)
+
+
 @pytest.fixture(scope="module")
 def band():
     """A model, eight walkers on two bodies, and what the network sees of them."""
     model = waist_band_model()
-    options = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, within=math.inf, say=lambda text: None)
     with pytest.MonkeyPatch.context() as patch:
         simulate_walkers_quickly(patch)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         codes = BodyCodes.of(model, BODY_MODEL, CPU)
-        walkers = simulated_walkers(model, BODY_MODEL, codes, sway_share(model), CPU, **options)
+        walkers = simulated_walkers(model, BODY_MODEL, codes, sway_share(model), CPU, **OPTIONS)
         yield model, walkers, Features(model.rig, swaying_joints(model, walkers.share.numpy() > 0), CPU)
         torch.set_num_threads(threads)
 
@@ -66,6 +68,15 @@ def test_learning_comes_nearer_and_is_the_same_again(band, monkeypatch):
     assert after < 0.9 * before
     again, _, _ = learnt(band, 60)
     torch.testing.assert_close(again.out.weight, later.out.weight, rtol=0, atol=0)
+
+
+def test_cloth_that_is_lost_teaches_nothing(band, monkeypatch):
+    """In all frames of 30 but the first one; every fourth is kept."""
+    simulate_walkers_quickly(monkeypatch)
+    monkeypatch.setattr(walker_simulation, "LARGEST_OFFSET", 0.0)
+    model, walkers, _ = band
+    with pytest.raises(ValueError, match="cloth was lost in 88% of the frames, allowed 50%"):
+        simulated_walkers(model, BODY_MODEL, lambda modulation: None, sway_share(model), CPU, **OPTIONS)
 
 
 def test_tuning_lets_cloth_strain_less(band, monkeypatch):

@@ -13,10 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from torch import nn
 
 from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS
 
-__all__ = ["Rounding", "compensated_rounding", "mean_square"]
+__all__ = ["InputSquares", "Rounding", "compensated_rounding", "mean_square"]
 
 AT_ONCE = 64
 """Columns whose losses are handed on together to those after them."""
@@ -72,6 +74,24 @@ def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Round
             )
         left[:, together.stop :] -= lost @ takes_over[together, together.stop :]
     return np.ascontiguousarray(rounded[:, np.argsort(order)], dtype=np.float32)
+
+
+class InputSquares:
+    """Means of products of what layers read, from here on, whenever their network is called. layers: by name."""
+
+    def __init__(self, layers: dict[str, nn.Linear]) -> None:
+        self._sums = dict.fromkeys(layers, (0, 0))
+        for name, layer in layers.items():
+            layer.register_forward_hook(lambda _, inputs, __, name=name: self._add(name, inputs[0]))
+
+    def _add(self, name: str, x: torch.Tensor) -> None:
+        x = x.detach().flatten(0, -2).double()
+        total, count = self._sums[name]
+        self._sums[name] = total + x.T @ x, count + len(x)
+
+    def means(self) -> dict[str, np.ndarray]:
+        """(k, k) float64 by the name of the layer, once all have been called."""
+        return {name: (total / count).cpu().numpy() for name, (total, count) in self._sums.items()}
 
 
 def mean_square(square: np.ndarray) -> float:

@@ -27,7 +27,12 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, pose_vector
 from physkin_core.runtime.garment_on_body import put_on_body
 from physkin_training.networks.export import drape_from_model, encode_bodies
-from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding, mean_square
+from physkin_training.rounding.compensated_rounding import (
+    InputSquares,
+    Rounding,
+    compensated_rounding,
+    mean_square,
+)
 from physkin_training.rounding.rounded_sway import rounded_sway
 from physkin_training.sampling.everyday_poses import EverydayPoses
 
@@ -177,17 +182,11 @@ def _encoder_squares(
     """Mean of products (k, k) of what layers of the hyper modulator read of training bodies, by the name of the weight;
     of those that are rounded."""
     encoder = drape_from_model(model).to(device).networks.hyper_modulator
-    sums: dict[str, np.ndarray] = {}
-    counts: dict[str, int] = {}
-
-    def add(name: str, x: torch.Tensor) -> None:
-        x = x.detach().flatten(0, -2).double()
-        sums[name] = sums.get(name, 0) + (x.T @ x).cpu().numpy()
-        counts[name] = counts.get(name, 0) + len(x)
-
-    for name, layer in encoder.named_modules():
-        if isinstance(layer, nn.Linear) and name != "embed" and layer.weight.numel() >= LEAST_ROUNDED:
-            layer.register_forward_hook(lambda _, inputs, __, name=name: add(f"{name}.weight", inputs[0]))
+    layers = {
+        name: layer for name, layer in encoder.named_modules() if isinstance(layer, nn.Linear) and name != "embed"
+    }
+    large = {f"{name}.weight": layer for name, layer in layers.items() if layer.weight.numel() >= LEAST_ROUNDED}
+    squares = InputSquares(large)
     softest, stiffest = (bending_code(2.0**octave) for octave in BENDING_OCTAVES)
     bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
     for some in np.array_split(bodies, -(-len(bodies) // AT_ONCE)):
@@ -198,7 +197,7 @@ def _encoder_squares(
         given = (*(np.stack(part) for part in zip(*surfaces, strict=True)), fits, bending)
         with torch.no_grad():
             encoder(*(torch.as_tensor(part, dtype=torch.float32, device=device) for part in given))
-    return {name: total / counts[name] for name, total in sums.items()}
+    return squares.means()
 
 
 def _poses(rig: Rig, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
