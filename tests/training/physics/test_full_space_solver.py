@@ -151,10 +151,10 @@ def test_a_clothed_body_several_samples_at_once(monkeypatch):
         solver = FullSpaceSolver(losses, held=top)
         return solver.minimise(start, down, posed.mesh, posed.offset, tolerance=tolerance, **options)
 
-    energies, search = [], FullSpaceSolver.search
-    monkeypatch.setattr(FullSpaceSolver, "search", lambda *given: energies.append(there := search(*given)) or there)
+    seen, search = [], FullSpaceSolver.search
+    monkeypatch.setattr(FullSpaceSolver, "search", lambda *given: seen.append(there := search(*given)) or there)
     together = run([0, 1, 2])
-    energies = torch.stack([there.energy for there in energies])
+    energies = torch.stack([there.energy for there in seen])
     rise = (energies[1:] - energies[:-1]).max().item()
     assert rise < 1e-7, "no iteration may end higher than it started"
     assert energies[-1].sum() < energies[0].sum()

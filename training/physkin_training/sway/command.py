@@ -27,28 +27,27 @@ __all__ = ["LearntSway", "SwayPlan", "command_parser", "learn_sway", "main"]
 
 PLAN = {
     "bodies": (1, "bodies to simulate walkers on"),
-    "walkers": (1, "walkers on each body"),
-    "rounds": (1, "motions of each walker"),
+    "walkers": (2, "walkers on each body"),
     "seconds": (0.5, "length of each motion"),
     "steps": (1, "training steps"),
     "tuning_steps": (0, "steps of fine-tuning by the energies of cloth"),
     "seed": (0, "seed of bodies, motions and training"),
 }
-"""Smallest value allowed of each number of a `SwayPlan`, and what its option says."""
+"""Smallest value allowed of each number of a `SwayPlan`, and what its option says. Of two walkers one is held out."""
+AT_ONCE = 5
+"""Walkers on each body that are simulated at once, at most."""
 
 
 @dataclass(frozen=True)
 class SwayPlan:
     """How much is simulated, and for how long it is learnt.
 
-    bodies: how many of the training bodies; walkers: on each of them, all simulated at once; rounds: how often, each
-    with new motions of so many seconds. steps, tuning_steps: of learning, and of fine-tuning after it.
-    Raises ValueError for a number below those of `PLAN`, and where no walker could be held out.
+    bodies: how many of the training bodies; walkers: on each of them, with motions of so many seconds. steps,
+    tuning_steps: of learning, and of fine-tuning after it. Raises ValueError for a number below those of `PLAN`.
     """
 
     bodies: int = 128
-    walkers: int = 5
-    rounds: int = 4
+    walkers: int = 20
     seconds: float = 5.0
     steps: int = 28000
     tuning_steps: int = 9000
@@ -59,8 +58,6 @@ class SwayPlan:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= least):
                 raise ValueError(f"--{name.replace('_', '-')} must be at least {least:g}, got {value}")
-        if self.bodies * self.walkers * self.rounds == self.bodies:
-            raise ValueError("one walker a body is too few: some are held out; raise --walkers or --rounds")
 
 
 @dataclass(frozen=True)
@@ -125,11 +122,12 @@ def learn_sway(
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
     joints = swaying_joints(model, share > 0)
     codes = BodyCodes.of(model, body_model, device)
+    rounds = math.ceil(plan.walkers / AT_ONCE)
     walkers = simulated_walkers(
         *(model, body_model, codes, share, device),
         bodies=plan.bodies,
-        each=plan.walkers,
-        rounds=plan.rounds,
+        each=math.ceil(plan.walkers / rounds),
+        rounds=rounds,
         seconds=plan.seconds,
         seed=plan.seed,
         within=within,
