@@ -1,8 +1,8 @@
 """Newton's method for the energy's minimum over all vertices of a garment, several samples at once.
 
-The second derivative is the exact one while that curves up along the steps, and the one made positive block by block
-where it did not. A step that does not decrease the energy is solved for anew with what it taught about single vertices
-(`vertex_secants`), and at last shortened.
+The exact second derivative is used while it curves up along the steps, otherwise one that is made positive block by
+block. A step that does not lower the energy is solved for again with what it showed about single vertices
+(`vertex_secants`), and finally shortened.
 
 Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 """
@@ -21,25 +21,25 @@ from physkin_training.quiet_warp import wp
 __all__ = ["FullSpaceSolver"]
 
 SUFFICIENT = 1e-4
-"""Share of the decrease expected along a step that it must bring."""
+"""Share of the expected decrease that a step must bring."""
 ROUNDING = 3e-9
 """Change of the energy, relative to the sum of its terms' sizes, that single precision cannot tell from none."""
 SOLVES = 4
-"""Steps solved for in one iteration at most; after that the last one is shortened."""
+"""Steps that are solved for in one iteration at most. After that the last one is shortened."""
 HALVINGS = 10
 """A step shorter than 2^-10 is given up, and the next one damped more."""
 GIVE_UP = 6
 """Iterations in a row without any progress after which a sample is left where it is."""
 STALL_AFTER = 25
 STALL_SHARE = 1e-3
-"""A sample is given up, too, when so many iterations neither halve its gradient norm nor bring its energy down by more
-than this share of the sum of its terms' sizes."""
+"""A sample is also given up when so many iterations neither halve its gradient norm nor lower its energy by more than
+this share of the sum of its terms' sizes."""
 FORCING = 0.1
 """Largest residual of the linear systems, relative to their right-hand sides."""
 FIRST_DAMPING = 100.0
 """[N/m3], against a cloth of 0.2 kg/m2: its own weight would then move it by 2 cm."""
 COOLING, HEATING = 0.5, 4.0
-"""Change of the damping after a full step, and after one that had to be shortened much."""
+"""Factors of the damping after a full step, and after one that had to be shortened much."""
 
 
 class FullSpaceSolver(NewtonSolver):
