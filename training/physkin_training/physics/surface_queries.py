@@ -28,7 +28,7 @@ def closest_kernel(
     face: wp.array(dtype=wp.int32),
     barycentric: wp.array(dtype=wp.vec3),
 ):
-    """Signed distance, the way out, and where on the body the closest point is."""
+    """Signed distance, the direction in which it grows, and where on the body the closest point is."""
     i = wp.tid()
     hit = wp.mesh_query_point_sign_normal(body, points[i], farthest)
     face[i] = hit.face
@@ -73,7 +73,7 @@ def piercing_kernel(
     mesh = wp.mesh_get(mesh_id)
     a, b = edges[i, 0], edges[i, 1]
     p, q = mesh.points[a], mesh.points[b]
-    way = q - p
+    along_edge = q - p
     query = wp.mesh_query_aabb(mesh_id, wp.min(p, q), wp.max(p, q))
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
@@ -81,13 +81,13 @@ def piercing_kernel(
         if i0 != a and i1 != a and i2 != a and i0 != b and i1 != b and i2 != b:
             x0 = mesh.points[i0]
             side1, side2 = mesh.points[i1] - x0, mesh.points[i2] - x0
-            across = wp.cross(way, side2)
+            across = wp.cross(along_edge, side2)
             volume = wp.dot(side1, across)
             if wp.abs(volume) > 1.0e-16:
                 offset = p - x0
                 u = wp.dot(offset, across) / volume
                 turned = wp.cross(offset, side1)
-                v = wp.dot(way, turned) / volume
+                v = wp.dot(along_edge, turned) / volume
                 along = wp.dot(side2, turned) / volume
                 if u > 0.0 and v > 0.0 and u + v < 1.0 and along > 0.0 and along < 1.0:
                     pierces[i] = True

@@ -1,11 +1,11 @@
 """Fine-tuning of a learnt sway network by the energies of cloth.
 
-A network that is right on average still strains cloth: where it cannot foretell what cloth does, it averages over it.
+A network that is right on average still strains cloth: where it cannot know what cloth does, it averages over it.
 So in every step a frame of some windows is draped, and the network also learns to bring cloth into balance there:
-forces of stretch, bending, contact, the band and weight against the simulated forces of inertia and drag. (Cloth at
-rest would be in balance without those, and would not swing at all.) Balance still costs some swing, so the swing of
-cloth counts more here than in learning. From here on the network gives offsets of garment nodes instead of
-coefficients of shapes. Errors count by distance alone, because the energies know better what an error costs.
+forces of stretch, bending, contact, the band and weight against the simulated forces of inertia and drag. Without
+those two, all swing would count as strain. With them some swing is still lost, so the swing of cloth counts more here
+than in learning. From here on the network gives offsets of garment nodes instead of coefficients of shapes. Errors
+count by distance alone, because the energies know better what an error costs.
 
 Dimensions: `B` bodies, `a = 12 m` numbers of garment nodes, `h` what the last layer reads.
 """
@@ -19,7 +19,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.soap import Soap
-from physkin_training.sway.learning import SWINGING, descend, drawn_from, learning_rate, missed_swing
+from physkin_training.sway.learning import SWINGING, descend, drawn_from, learning_rates, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import SLOWLY, in_one_size, potential_of_walkers
@@ -125,7 +125,7 @@ def tuned_network(
         energy_share.fill_(ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)))
         return torch.cat([rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body])
 
-    rates = [LEARNING_RATE * learning_rate(k, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE) for k in range(steps)]
+    rates = learning_rates(LEARNING_RATE, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
     with drawn_from(generator, device):
         descend(windows, optimiser, loss, draw, rates, windows_a_step=count, doing="fine-tuning")
     return last

@@ -21,7 +21,7 @@ from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.walkers import Walkers
 from physkin_training.sway.windows import STRIDES, Window, Windows
 
-__all__ = ["descend", "drawn_from", "held_out_millimetres", "learnt_network", "learning_rate", "missed_swing", "split"]
+__all__ = ["descend", "drawn_from", "held_out_millimetres", "learnt_network", "learning_rates", "missed_swing", "split"]
 
 BATCH = 256
 """Windows of a step."""
@@ -43,9 +43,13 @@ def split(walkers: Walkers, generator: torch.Generator) -> tuple[torch.Tensor, t
     return order[~torch.isin(order, held)], held
 
 
-def learning_rate(step: int, steps: int, *, warm_up: int, last: float) -> float:
-    """Share of the full learning rate: after a warm-up half a cosine down to `last`."""
-    return (last + (1 - last) * (1 + math.cos(math.pi * step / steps)) / 2) * min(1.0, (step + 1) / warm_up)
+def learning_rates(largest: float, steps: int, *, warm_up: int, last: float) -> list[float]:
+    """The learning rate of each step: after a warm-up half a cosine from the largest down to a share `last` of it."""
+
+    def share(step: int) -> float:
+        return (last + (1 - last) * (1 + math.cos(math.pi * step / steps)) / 2) * min(1.0, (step + 1) / warm_up)
+
+    return [largest * share(step) for step in range(steps)]
 
 
 @contextmanager
@@ -82,7 +86,7 @@ def learnt_network(
         def draw(step: int) -> torch.Tensor:
             return learnt[torch.randint(len(learnt), (BATCH,), generator=generator)]
 
-        rates = [LEARNING_RATE * learning_rate(k, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE) for k in range(steps)]
+        rates = learning_rates(LEARNING_RATE, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
         descend(windows, optimiser, loss, draw, rates, windows_a_step=BATCH, doing="learning")
     return network
 
