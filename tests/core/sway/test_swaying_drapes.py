@@ -194,15 +194,13 @@ def test_disturbed_messages_do_not_pop(disturbance, plain, swaying):
     assert max(changes[29:]) < allowed
 
 
-def test_garments_of_an_outfit_sway_each_in_its_way(plain, swaying):
+def test_garments_of_an_outfit_sway_each_by_itself(plain, swaying, worn):
     """A shirt without a network not at all, the skirt by its network, half as much: as single drapers."""
     shirt = replace(physkin.load_garment_model("tshirt"), sway=None)
     outfit = physkin.Outfit([swaying, shirt], plain.avatar, hide_covered=False)
     outfit.sway = (0.5, 1.0)
-    singles = [
-        physkin.Outfit([layer.model], plain.avatar).with_bound_garment(0, layer.bound_visible)
-        for layer in outfit.layers
-    ]
+    alone = zip((plain.outfit, worn("tshirt")), outfit.layers)
+    singles = [single.with_bound_garment(0, layer.bound_visible) for single, layer in alone]
     singles[0].sway = 0.5
     for positions, told in walking(30):
         told["time"] += 0.5 * (told["time"] > 0.2)
