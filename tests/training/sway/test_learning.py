@@ -10,6 +10,7 @@ from training.small_runs import simulate_walkers_quickly, waist_band_model
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_training.sway import cloth_tuning, learning, walker_simulation
+from physkin_training.sway import walkers as walkers_module
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
 from physkin_training.sway.fading import sway_share
@@ -22,15 +23,16 @@ BODY_MODEL = load_body_model()
 CPU = torch.device("cpu")
 
 
-OPTIONS = dict(bodies=2, each=4, rounds=1, seconds=0.5, seed=0, within=math.inf, say=lambda text: None)
+OPTIONS = dict(bodies=2, each=4, seconds=0.5, seed=0, within=math.inf, say=lambda text: None)
 
 
 @pytest.fixture(scope="module")
 def band():
-    """A model, eight walkers on two bodies, and what the network sees of them."""
+    """A model, eight walkers on two bodies, four at a time, and what the network sees of them."""
     model = waist_band_model()
     with pytest.MonkeyPatch.context() as patch:
         simulate_walkers_quickly(patch)
+        patch.setattr(walkers_module, "AT_ONCE", 2)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         codes = BodyCodes.of(model, BODY_MODEL, CPU)
@@ -87,7 +89,7 @@ def test_tuning_lets_cloth_strain_less(band, monkeypatch):
     model, walkers, features = band
     network, some, _ = learnt(band, 30)
     cloth = cloth_tuning._Cloth(model, BODY_MODEL, walkers)
-    walker, frame = torch.tensor([1, 5]), torch.full((2,), 7)  # one on each body
+    walker, frame = torch.tensor([1, 6]), torch.full((2,), 7)  # one on each body
 
     def energy(last: OffsetLayer) -> float:
         windows = Windows(walkers, features)

@@ -34,8 +34,6 @@ PLAN = {
     "seed": (0, "seed of bodies, motions and training"),
 }
 """Smallest value allowed of each number of a `SwayPlan`, and what its option says. Of two walkers one is held out."""
-AT_ONCE = 5
-"""Walkers on each body that are simulated at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -122,12 +120,10 @@ def learn_sway(
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
     joints = swaying_joints(model, share > 0)
     codes = BodyCodes.of(model, body_model, device)
-    rounds = math.ceil(plan.walkers / AT_ONCE)
     walkers = simulated_walkers(
         *(model, body_model, codes, share, device),
         bodies=plan.bodies,
-        each=math.ceil(plan.walkers / rounds),
-        rounds=rounds,
+        each=plan.walkers,
         seconds=plan.seconds,
         seed=plan.seed,
         within=within,

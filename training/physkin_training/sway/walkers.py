@@ -26,6 +26,8 @@ __all__ = ["KEPT_EVERY", "Walkers", "simulated_walkers"]
 
 KEPT_EVERY = 4
 """One of so many frames is learnt."""
+AT_ONCE = 5
+"""Walkers on each body that are simulated at once, at most."""
 MOST_SHAPES = 160
 LEAST_VALID = 0.5
 """Share of the frames that must count, see `WalkerSimulation.run`."""
@@ -67,19 +69,21 @@ def simulated_walkers(
     *,
     bodies: int,
     each: int,
-    rounds: int,
     seconds: float,
     seed: int,
     within: float,
     say: Callable[[str], None],
 ) -> Walkers:
-    """Simulate `rounds` times `each` walkers on each of so many bodies of training, motions of so many seconds.
+    """Simulate `each` walkers on each of so many training bodies, with motions of so many seconds. They are simulated
+    equally many at a time, so there may be slightly more of them.
 
     share: (m,), see `sway_share`. within: [s] that it may take. say: called with sentences on how it went. Raises
     ValueError if most cloth was lost, none moves, or it would take longer.
     """
     chosen = np.random.default_rng(seed).permutation(len(body_model.train_bodies))[:bodies]
     coefficients = body_model.train_bodies[chosen]
+    rounds = math.ceil(each / AT_ONCE)
+    each = math.ceil(each / rounds)
     simulation = WalkerSimulation(model, body_model, coefficients, each, device, free=share > 0)
     frames = round(seconds * RATE_HZ)
     pool, at_once = MotionPool(model.rig), bodies * each
