@@ -1,6 +1,6 @@
 """Which bones of a rig are its arms and legs, its trunk and its head, and which joints may move a limb.
 
-Bones are told by their names, whatever the naming, else by the skeleton's shape. Dimensions: `b` bones.
+Bones are recognised by their names, whatever the naming, or else by the skeleton's shape. Dimensions: `b` bones.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def find_limbs(rig: Rig) -> Limbs:
     limbs, missing = [], []
     for name, wanted in ENDS.items():
         ends = tuple(found.get(bone, -1) for bone in wanted)
-        way = _way(rig, ends[0], ends[2]) if min(ends) >= 0 else ()
-        between = way[: way.index(ends[1]) + 1] if ends[1] in way else ()
+        chain = _chain(rig, ends[0], ends[2]) if min(ends) >= 0 else ()
+        between = chain[: chain.index(ends[1]) + 1] if ends[1] in chain else ()
         dofs = tuple(k for bone in between for k in np.flatnonzero(rig.dof_bones == bone).tolist())[:MOST_JOINTS]
         if dofs:
             limbs.append(Limb(name, ends, dofs))
@@ -83,17 +83,17 @@ def find_limbs(rig: Rig) -> Limbs:
 
 def _trunk(rig: Rig, hub: int, chest: int) -> tuple[int, ...]:
     """At most four bones from the hub to the chest that turn by themselves."""
-    turning = list(dict.fromkeys(int(rig.turns_with[bone]) for bone in (_way(rig, hub, chest) or (hub,))))
+    turning = list(dict.fromkeys(int(rig.turns_with[bone]) for bone in (_chain(rig, hub, chest) or (hub,))))
     chosen = np.unique(np.linspace(0, len(turning) - 1, min(len(turning), MOST_TRUNK_BONES)).round().astype(int))
     return tuple(turning[at] for at in chosen)
 
 
-def _way(rig: Rig, start: int, end: int) -> tuple[int, ...]:
-    """Bones from `start` down to `end`, both included; nothing where one is not below the other."""
+def _chain(rig: Rig, start: int, end: int) -> tuple[int, ...]:
+    """Bones from `start` down to `end`, with both; nothing if one is not below the other."""
     up = rig.ancestors(end)
     return tuple(up[: up.index(start) + 1][::-1]) if start in up else ()
 
 
 def _meeting(rig: Rig, bones: list[int]) -> int:
-    """The last bone that all of `bones` are below."""
+    """The lowest bone that all of `bones` are below."""
     return max(set.intersection(*(set(rig.ancestors(bone)) for bone in bones)))

@@ -35,8 +35,8 @@ class RadialShape:
     coefficients: np.ndarray
 
     def depth(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far points (V, 3) are inside, (V,), negative outside, to first order; normals (V, 3) outwards, unit but
-        near the axis, where there is no way out to prefer."""
+        """How far points (V, 3) are inside, (V,), negative outside, to first order; normals (V, 3) outwards, of unit
+        length except near the axis, where all directions out are alike."""
         x, y, z = (np.asarray(points, dtype=np.float64) - [*self.centre, 0.0]).T
         distance = np.sqrt(x**2 + y**2 + AXIS_BLUR**2)
         below, shrinks = _ramp(self.low - z)

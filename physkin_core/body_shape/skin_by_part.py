@@ -23,7 +23,7 @@ ABOVE_CROTCH = 0.01
 MOST_BELOW_HIPS = 0.2
 """[m] The crotch is not farther below the hip joints."""
 MIDDLE = 0.03
-"""[m] Skin so near to the plane of symmetry tells where the crotch is."""
+"""[m] The crotch is looked for in skin this near to the plane of symmetry."""
 SHORTEST_TRUNK = 0.1
 
 

@@ -22,9 +22,9 @@ from physkin_core.separation.limb_shape import CAPSULES, END, LOWER, SPHERES, UP
 __all__ = ["CollisionShape", "fit_collision_shape"]
 
 TRUNK = -1
-"""Stands for the trunk where else a capsule's index does."""
+"""Stands for the trunk in place of a capsule's index."""
 CAPSULE_BLUR: float = native.constants["capsule_blur"]
-"""[m] So near to a capsule's axis there is no way out to prefer: arms may pass through each other."""
+"""[m] This near to a capsule's axis all directions out of it are alike: arms may pass through each other."""
 SLACK = 0.02
 """[m] By which twist joints within a group may change how far its spheres are from its middle one."""
 
@@ -98,19 +98,19 @@ class CollisionShape:
 
 
 def capsule_depth(points: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How deep points (V, 3) are in a capsule, (V,); normals (V, 3), unit but near the axis; where along it the
-    nearest place is, (V,) 0 to 1. The radius goes from one end's to the other's without a corner.
+    """How deep points (V, 3) are in a capsule, (V,); normals (V, 3), of unit length except near the axis; and where
+    along the axis the nearest place is, (V,) 0 to 1. The radius changes smoothly from one end to the other.
     """
-    way = ends[1] - ends[0]
-    along = np.clip((points - ends[0]) @ way / max(way @ way, 1e-9), 0.0, 1.0)
-    offset = points - ends[0] - along[:, None] * way
+    axis = ends[1] - ends[0]
+    along = np.clip((points - ends[0]) @ axis / max(axis @ axis, 1e-9), 0.0, 1.0)
+    offset = points - ends[0] - along[:, None] * axis
     distance = np.sqrt((offset**2).sum(axis=1) + CAPSULE_BLUR**2)
     smooth = along**2 * (3 - 2 * along)
     return radii[0] + smooth * (radii[1] - radii[0]) - distance, offset / distance[:, None], along
 
 
 def fit_collision_shape(avatar: Avatar, rig: Rig, *, onset: float) -> tuple[CollisionShape, tuple[str, ...]]:
-    """The shape of this body, and what there is to warn of: limbs that are left out, and why.
+    """The shape of this body, and warnings: limbs that are left out, and why.
 
     onset: [m] distance at which a contact begins to count. Raises ValueError where no limb was found, or none has skin.
     """
@@ -184,7 +184,7 @@ class _Spheres:
         self._limbs += 1
 
     def _bone_at(self, limb: Limb, centre: np.ndarray, segment: int) -> int:
-        """The bone of a segment whose head was passed last on the way to a centre."""
+        """The last bone of a segment whose head lies before a centre."""
         start, stop = limb.ends[segment], limb.ends[segment + 1]
         above = self._rig.ancestors(stop)
         direction = self._heads[stop] - self._heads[start]
@@ -216,7 +216,7 @@ class _Spheres:
 
 def _pairs(limbs: list[Limb], *, with_head: bool) -> tuple[np.ndarray, np.ndarray]:
     """Groups (G, 2) and pairs (P, 3). Arms keep out of the trunk, the head, legs and each other, legs out of the trunk
-    and each other; of the trunk all but what a limb is joined to it by."""
+    and each other. Spheres by which a limb is joined to the trunk are exempt."""
     groups, pairs = [], []
     head = len(CAPSULES) * len(limbs)
     for own, limb in enumerate(limbs):

@@ -28,7 +28,7 @@ class SeparationSettings:
     """How gently limbs are separated.
 
     onset: [m] outside the skin where a contact begins to count. softness: [m] over which it comes to count in full.
-    pull: [m2/rad2] of a joint towards where it was given. damping: [m2/rad2] towards where the last step left it.
+    pull: [m2/rad2] of a joint towards its given position. damping: [m2/rad2] towards its position in the last step.
     blend: [m] of height over which a trunk bone takes over from the one below. steps: how many.
     """
 
@@ -120,7 +120,7 @@ class LimbSeparator:
 
 
 def bind_limbs(rig: Rig, avatar: Avatar) -> LimbSeparator:
-    """The separator of a body bound to the rig; what it warns of is issued as AvatarWarning. Raises as that does."""
+    """The separator of a body bound to the rig. Its warnings are issued as AvatarWarning. Raises as it does."""
     separator = LimbSeparator(rig, avatar)
     for warning in separator.warnings:
         warnings.warn(f"{avatar.source}: {warning}", AvatarWarning, stacklevel=2)

@@ -14,7 +14,7 @@ __all__ = ["CAPSULES", "END", "LOWER", "SPHERES", "UPPER", "fit_limb"]
 UPPER_STATIONS, LOWER_STATIONS = (0.2, 0.5, 0.8), (0.0, 0.25, 0.5, 0.75, 1.0)
 """Along the segments; the upper one's end is the lower one's beginning."""
 UPPER, LOWER, END = slice(1, 3), slice(3, 8), slice(8, 13)
-"""Spheres that are kept out of other parts. The first is inside the trunk by being joined to it."""
+"""Spheres that are kept out of other parts. The first one is not, as it joins the limb to the trunk."""
 SPHERES = 13
 CAPSULES = ((0, 3), (3, 7), (7, 12))
 """Spheres that capsules span: upper segment, lower segment, hand or foot."""

@@ -243,7 +243,7 @@ def _checked_time(time: float) -> float:
 
 
 def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:
-    """Hand a vector over; what is refused is told with its values."""
+    """Hand a vector over; an error names its values."""
     vector = np.ascontiguousarray(values, dtype=np.float64)
     if vector.ndim != 1:
         raise ValueError(f"gravity, wind and roots are rows of numbers, got an array of shape {vector.shape}")

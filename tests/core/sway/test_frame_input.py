@@ -10,6 +10,7 @@ from physkin_core.sway.frame_input import RootTracker
 
 DOWN = np.array([0.6, 0.0, -0.8])
 STANDS_ALONE = -2.0
+STANDING = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 
 
 def rows(garments, **given):
@@ -24,22 +25,6 @@ def test_a_frame_that_stands_by_itself_has_gravity_alone():
     for given in ({"gravity": DOWN}, {"gravity": 1e3 * DOWN}, {"effective_gravity": 9.81 * DOWN}):
         np.testing.assert_allclose(rows(2, **given), expected, atol=1e-7)
     assert not rows(1, effective_gravity=np.zeros(3))[0, :3].any()
-
-
-def test_a_direction_is_of_unit_length():
-    frame_input = FrameInput(1)
-    for wrong in (1.01 * DOWN, np.zeros(3), [0, 0, np.nan]):
-        with pytest.raises(ValueError, match=r"gravity must be a unit direction \(3,\), got \["):
-            frame_input.set_gravity(wrong)
-    with pytest.raises(ValueError, match=r"gravity must have shape \(3,\)"):
-        frame_input.set_gravity(DOWN[:2])
-
-
-def test_an_effective_gravity_is_finite_and_three_times_gravity_at_most():
-    frame_input = FrameInput(1)
-    for wrong in ([0, 0, -29.5], [0, np.nan, 0], [np.nan, 0, 0], [0, 0, np.nan], [0, np.inf, 0]):
-        with pytest.raises(ValueError, match=r"effective_gravity must be .* up to 29.4 m/s2 long, got \["):
-            frame_input.set_effective_gravity(wrong)
 
 
 def test_each_garment_feels_as_much_of_an_acceleration_as_it_sways():
@@ -73,14 +58,6 @@ def test_a_root_that_is_tracked_elsewhere_is_followed():
     assert own.rows[1, 7] > 1 and own.rows[1, 12] == pytest.approx(3)
 
 
-def test_times_that_are_not_finite_are_refused():
-    frame_input = FrameInput(1)
-    for wrong in (np.nan, np.inf):
-        for begin in (frame_input.begin_frame, lambda time: frame_input.set_root(time, (0, 0, 0, 0, 0, 0, 1))):
-            with pytest.raises(ValueError, match=f"time must be finite, got {wrong}"):
-                begin(wrong)
-
-
 def test_a_frame_without_a_time_ends_what_was_before():
     """The next one is as a first one, whatever time it is."""
     moved, fresh = FrameInput(2), FrameInput(2)
@@ -95,9 +72,53 @@ def test_a_frame_without_a_time_ends_what_was_before():
     assert np.abs(moved.rows - before).max() > 0.1
 
 
-def test_garments_are_counted():
-    for none in (0, -1):
-        with pytest.raises(ValueError, match=f"garments is {none}; there must be 1 or more"):
-            FrameInput(none)
-    with pytest.raises(ValueError, match="sway has 1 numbers; expected one for each of 2 garments"):
-        FrameInput(2).sway = (1.0,)
+NAN, INF = np.nan, np.inf
+REFUSED = [
+    *(
+        ("set_gravity", wrong, r"gravity must be a unit direction \(3,\), got \[")
+        for wrong in (1.01 * DOWN, np.zeros(3), [0, 0, NAN])
+    ),
+    ("set_gravity", DOWN[:2], r"gravity must have shape \(3,\)"),
+    *(
+        ("set_effective_gravity", wrong, r"effective_gravity must be .* up to 29.4 m/s2 long, got \[")
+        for wrong in ([0, 0, -29.5], [0, NAN, 0], [NAN, 0, 0], [0, 0, NAN], [0, INF, 0])
+    ),
+    ("begin_frame", NAN, "time must be finite, got nan"),
+    ("begin_frame", INF, "time must be finite, got inf"),
+    ("set_root", (INF, STANDING), "time must be finite, got inf"),
+    ("set_root", (NAN, STANDING), "time must be finite, got nan"),
+    ("set_root", (0.0, (*STANDING[:6], INF)), "finite"),
+    ("set_root", (0.0, STANDING[:6]), "shape"),
+    ("set_root", (0.0, (1e12, *STANDING[1:])), "within"),
+    ("set_root", (0.0, (0, 0, 0, 0, 0, 0, 0)), "length 1"),
+    ("wind", (13.1, 0, 0), r"up to 13 m/s, got \[13.1, 0.0, 0.0\]"),
+    ("wind", (0, NAN, 0), "finite, up to 13 m/s"),
+    ("wind", (0, 0, INF), "finite, up to 13 m/s"),
+    ("wind", (1.0, 0.0), r"wind must have shape \(3,\)"),
+    ("wind", 3.0, r"wind must have shape \(3,\)"),
+    ("wind", np.zeros((1, 3)), "rows of numbers"),
+    *(
+        ("sway", [wrong], "must be a number from 0 to 1, got")
+        for wrong in (-0.1, 1.1, NAN, "all", None, np.array(0.5), np.array([0.5]))
+    ),
+    ("sway", (1.0, 1.0), "sway has 2 numbers; expected one for each of 1 garments"),
+]
+
+
+@pytest.mark.parametrize(("name", "wrong", "said"), REFUSED)
+def test_what_is_refused(name, wrong, said):
+    """What was known before stays."""
+    frame_input = FrameInput(1)
+    frame_input.wind, frame_input.sway = (3.0, -2.0, 0.5), [0.5]
+    with pytest.raises(ValueError, match=said):
+        if name in ("wind", "sway"):
+            setattr(frame_input, name, wrong)
+        else:
+            getattr(frame_input, name)(*(wrong if isinstance(wrong, tuple) else [wrong]))
+    assert frame_input.wind == (3.0, -2.0, 0.5) and frame_input.sway == (0.5,)
+
+
+@pytest.mark.parametrize("none", [0, -1])
+def test_garments_are_counted(none):
+    with pytest.raises(ValueError, match=f"garments is {none}; there must be 1 or more"):
+        FrameInput(none)

@@ -96,7 +96,7 @@ def test_arguments_that_are_none(run_main, capfd, tmp_path):
     path = tmp_path / "avatars.yaml"
     path.write_text("drape_node: " + "{a: " * 3000 + "}" * 3000)
     assert run_main("--config", str(path)) == 2
-    assert f"error: config {path}: it is nested" in capfd.readouterr().err
+    assert f"error: config {path} is nested too deeply" in capfd.readouterr().err
     path.write_text("drape_node: {ros__parameters: {avatars: {ann: {garments: {top: {modl: tshirt}}}}}}")
     assert run_main("--config", str(path)) == 2
     lines = capfd.readouterr().err.splitlines()

@@ -21,7 +21,7 @@ CPU, GPU = torch.device("cpu"), torch.device("cuda")
 @pytest.fixture
 def quick(monkeypatch):
     """As a small GPU run would be, on a CPU."""
-    tiny = SwayPlan(bodies=2, walkers=2, rounds=1, seconds=0.5, steps=3, tuning_steps=2)
+    tiny = SwayPlan(bodies=2, walkers=2, seconds=0.5, steps=3, tuning_steps=2)
     monkeypatch.setattr(recipe, "SWAY_PLAN", tiny)
     simulate_walkers_quickly(monkeypatch)
 

@@ -68,6 +68,18 @@ def oracle_terms(scene, x, sample, material=MATERIAL, cut=None):
     }
 
 
+def check_against_oracle(energies, gradient, scene, sample, *, held=0.0, rel=3e-4, **options):
+    """energies: term -> (B,). gradient: (n, 3) of this sample's energy. held: what other terms add to it, (n, 3).
+    options: of `oracle_terms`. Returns the oracle's terms."""
+    x = torch.tensor(scene[2][sample], requires_grad=True)
+    terms = oracle_terms(scene, x, sample, **options)
+    for name, value in terms.items():
+        assert energies[name][sample].item() == pytest.approx(value.item(), rel=rel), name
+    (expected,) = torch.autograd.grad(sum(terms.values()), x)
+    assert np.abs(np.asarray(gradient) - expected.numpy() - held).max() < 1e-3 * np.abs(expected.numpy()).max()
+    return terms
+
+
 def test_cloth_of_a_sample_may_bend_more_stiffly(scene):
     """As if the material said so, of that sample alone."""
     garment, _, x, offset, mesh, gravity = scene
@@ -90,14 +102,8 @@ def test_cloth_of_a_sample_may_bend_more_stiffly(scene):
 def test_energies_and_gradient_match_the_oracle(scene):
     energies, gradient = run(scene, scene[2], times=3)
     for sample in range(SAMPLES):
-        x = torch.tensor(scene[2][sample], requires_grad=True)
-        terms = oracle_terms(scene, x, sample)
-        for name, value in terms.items():
-            assert getattr(energies, name)[sample].item() == pytest.approx(value.item(), rel=2e-4), name
-        (expected,) = torch.autograd.grad(3 / SAMPLES * sum(terms.values()), x)
+        terms = check_against_oracle(vars(energies), gradient[sample] * SAMPLES / 3, scene, sample, rel=2e-4)
         assert terms["collision"].item() > 0, "the scene must touch"
-        error = np.abs(gradient[sample] - expected.numpy()).max()
-        assert error < 1e-3 * np.abs(expected.numpy()).max()
 
 
 def rest_shapes(garment) -> list[Garment]:
@@ -127,14 +133,8 @@ def test_cloth_that_was_cut_flat_is_measured_against_its_panels(scene, creased):
         losses.rest_row.copy_(torch.tensor(rows))
         energies, gradient = losses.evaluate(tensors[0], tensors[1], scene[4], tensors[2])
         for sample, row in enumerate(rows):
-            leaf = torch.tensor(x[sample], requires_grad=True)
             shape = garment.reshaped(shapes[row])
-            terms = oracle_terms((shape, *scene[1:]), leaf, sample, cut=garment)
-            for name, value in terms.items():
-                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
-            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
-            error = np.abs(gradient[sample].numpy() - expected.numpy()).max()
-            assert error < 1e-3 * np.abs(expected.numpy()).max()
+            check_against_oracle(energies, gradient[sample], (shape, *scene[1:]), sample, cut=garment)
     lying, _ = run(scene, np.tile(garment.vertices, (SAMPLES, 1, 1)))
     chord = np.sin(np.pi / 10) / (np.pi / 10)
     across, along = ((stretch**2 - 1) / 2 for stretch in (0.93 * chord, 0.93))
@@ -159,14 +159,9 @@ def test_each_sample_has_its_own_rest_shape(scene, rest_angles):
         losses.rest_row.copy_(torch.tensor(rows))
         energies, gradient = losses.evaluate(tensors[0], tensors[1], mesh, tensors[2])
         for sample, row in enumerate(rows):
-            leaf = torch.tensor(x[sample], requires_grad=True)
-            terms = oracle_terms((shapes[row], *scene[1:]), leaf, sample, material)
-            for name, value in terms.items():
-                assert energies[name][sample].item() == pytest.approx(value.item(), rel=3e-4), (name, row)
-            (expected,) = torch.autograd.grad(sum(terms.values()), leaf)
             held = band_gradient(shapes[row], body, x[sample], band)
-            error = np.abs(gradient[sample].numpy() - expected.numpy() - held).max()
-            assert error < 1e-3 * np.abs(expected.numpy()).max()
+            there = (shapes[row], *scene[1:])
+            check_against_oracle(energies, gradient[sample], there, sample, held=held, material=material)
     alone = PhysicsLosses(shapes[2], material, SAMPLES, torch.device("cpu"), wearing=band)
     there = alone.evaluate(tensors[0], tensors[1], mesh, tensors[2])[0]
     assert there["band"][1].item() == pytest.approx(energies["band"][1].item(), rel=1e-5) and there["band"][1] > 0
@@ -313,23 +308,18 @@ def test_cloth_where_it_belongs_is_not_led(scene):
 
 def test_the_band_holds_beyond_its_slack(scene):
     """Energy and gradient of three vertices against the formula; none while within limit and slack."""
-    garment, body, x, offset, _, _ = scene
-    band, distance = [0, 5, 9], 0.01
-    places = np.asarray(body.vertices)[: len(band)]
-    energies, gradient = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=distance))
+    garment, body, x, *_ = scene
+    wearing = worn_on(garment, body, worn=True, band=[0, 5, 9], distance=0.01)
+    energies, gradient = run(scene, x, wearing=wearing)
     _, without = run(scene, x, wearing=worn_on(garment, body, worn=True))
-    held = (gradient - without) * SAMPLES
     for sample in range(SAMPLES):
-        away = x[sample, band] - places
-        length = np.linalg.norm(away, axis=1)
-        beyond = length - distance - BAND_SLACK
+        beyond = np.linalg.norm(x[sample, wearing.band] - np.asarray(body.vertices)[:3], axis=1) - 0.01 - BAND_SLACK
         assert beyond.min() > 0, "the scene must pull"
-        stiffness = BAND_STIFFNESS * garment.vertex_areas[band]
-        assert energies.band[sample].item() == pytest.approx((stiffness * beyond**2).sum(), rel=1e-4)
-        expected = np.zeros_like(held[sample])
-        expected[band] = away * (2 * stiffness * beyond / length)[:, None]
-        np.testing.assert_allclose(held[sample], expected, atol=2e-4 * np.abs(gradient).max())
-    slack, _ = run(scene, x, wearing=worn_on(garment, body, worn=True, band=band, distance=1.0))
+        expected = BAND_STIFFNESS * garment.vertex_areas[wearing.band] @ beyond**2
+        assert energies.band[sample].item() == pytest.approx(expected, rel=1e-4)
+        held = band_gradient(garment, body, x[sample], wearing)
+        np.testing.assert_allclose((gradient - without)[sample] * SAMPLES, held, atol=2e-4 * np.abs(gradient).max())
+    slack, _ = run(scene, x, wearing=replace(wearing, band_distance=np.ones(3, np.float32)))
     assert slack.band.abs().max() == 0
 
 

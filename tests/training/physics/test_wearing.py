@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ SURFACE = BODY.vertices(BODY.garment_body)
 BONES = BODY.rig.bone_names
 
 
+@cache
 def wearing(name: str) -> tuple[Garment, Wearing]:
     garment = load_garment(GARMENTS / f"{name}.obj")
     return garment, Wearing.of(garment, BODY)

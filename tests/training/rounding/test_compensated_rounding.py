@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from physkin_core import load_avatar, load_garment_model
-from physkin_core.avatar.loading import BUNDLED_AVATAR
 from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS, pack_weight, unpack_weights
 from physkin_core.model.model_file import shipped_models
 from physkin_core.motion.loading import load_motion
-from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
 
@@ -77,14 +74,14 @@ def test_a_file_keeps_every_rounded_weight(rounding):
 
 
 @pytest.mark.parametrize("name", shipped_models())
-def test_shipped_models_lose_nothing_more_in_eight_bits(name):
+def test_shipped_models_lose_nothing_more_in_eight_bits(name, shipped, worn):
     """They are stored rounded, so that int8 is as far from fp32 as bf16 is, 0.1 to 0.5 mm. How far depends on the
     processor, which sums in another order; their ratio hardly does: 0.7 to 1.1 on four instruction sets. Rounded one by
     one, int8 is 2.3 to 3.5 times as far as bf16 (docs/notebook/benchmark.md). 1.5 lies between."""
-    model = load_garment_model(name)
+    model = shipped(name)
     for weight, _ in (*model.pose_modulator[1:], *model.node_deformer[1:]):
         assert np.abs(in_steps(weight) - np.rint(in_steps(weight))).max() < 0.3
-    bound, clip = bind_garment(model, load_avatar(BUNDLED_AVATAR, model.rig)), load_motion("dance")
+    bound, clip = worn(name).layers[0].bound_visible, load_motion("dance")
     poses = list(zip(clip.positions_for(model.rig)[::20], clip.gravity[::20]))
     exact, half, rounded = (
         np.stack(drape_poses(bound, poses, precision=each))[..., :3] for each in ("fp32", "bf16", "int8")

@@ -23,15 +23,19 @@ CPU = torch.device("cpu")
 RIG = load_body_model().rig
 
 
-def sew(folder, pattern, template, edge_length=0.04):
-    mesh = cut(load_pattern(written(folder, pattern)), edge_length)
-    return mesh, sewn(mesh, template, RIG, Material(), CPU)
+def cut_of(folder, pattern):
+    return cut(load_pattern(written(folder, pattern)), 0.04)
 
 
-def test_a_skirt_of_two_panels(tmp_path, template):
+@pytest.fixture(scope="module")
+def mesh(tmp_path_factory):
+    """The cut of a skirt of two panels."""
+    return cut_of(tmp_path_factory.mktemp("skirt"), tube_skirt(waist=43.0))
+
+
+def test_a_skirt_of_two_panels(mesh, template):
     """It hangs on the hips, and half of it lies before and half behind."""
     seen = []
-    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
     garment = sewn(mesh, template, RIG, Material(), CPU, watch=lambda vertices, *_: seen.append(vertices))
     n, edges, faces = len(garment.vertices), len(garment.edges), len(garment.faces)
     assert n == len(mesh.places) - len(mesh.seams) and n - edges + faces == 0, "a tube"
@@ -66,20 +70,18 @@ def test_the_paper_doll(template):
 def test_what_does_not_fit(tmp_path, template):
     """A waist of 30 cm does not go around the hips."""
     with pytest.raises(PatternError, match="fit the body"):
-        sew(tmp_path, tube_skirt(width=15.0), template)
+        sewn(cut_of(tmp_path, tube_skirt(width=15.0)), template, RIG, Material(), CPU)
 
 
-def test_a_seam_that_does_not_close(tmp_path):
+def test_a_seam_that_does_not_close(mesh):
     """Front and back are left 12 cm apart."""
-    mesh = cut(load_pattern(written(tmp_path, tube_skirt())), 0.04)
     apart = np.column_stack([0.12 * mesh.panel_of, mesh.places])
     with pytest.raises(PatternError, match="the seam of panels .* does not close: .* does it fit the body"):
         _joined(mesh, apart, _sewn_together(mesh))
 
 
-def test_stitches_that_make_no_surface(tmp_path, template):
+def test_stitches_that_make_no_surface(mesh, template):
     """A third panel on an edge that two have already; said before anything is simulated."""
-    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
     twice = replace(mesh, seams=np.concatenate([mesh.seams, mesh.seams[:1, ::-1] + [[0, 1]]]))
     with pytest.raises(PatternError, match="an edge of panel '.*' would join 3 pieces of cloth, at most 2"):
         sewn(twice, template, RIG, Material(), CPU)
@@ -104,8 +106,7 @@ def test_squashed_faces_are_pulled_open():
     assert opened(crushed, faces, places, faces) is crushed, "no fold"
 
 
-def test_what_is_squashed_all_over_is_told_with_its_panel(tmp_path, template):
-    mesh = cut(load_pattern(written(tmp_path, tube_skirt(waist=43.0))), 0.04)
+def test_what_is_squashed_all_over_is_told_with_its_panel(mesh):
     lying = np.column_stack([mesh.places * [0.2, 1], np.zeros(len(mesh.places))])
     with pytest.raises(PatternError, match=r"\(\d+ faces are squashed or drawn out, most of them of panel 'front'\)"):
         _made(mesh, np.where(mesh.panel_of[:, None] == mesh.names.index("front"), lying, lying * [5, 1, 1]), mesh.faces)
@@ -115,4 +116,4 @@ def test_a_panel_that_is_not_sewn(tmp_path, template):
     pattern = tube_skirt()
     pattern["pattern"]["panels"]["patch"] = panel([[0, 0], [9, 0], [9, 9], [0, 9]], place=(0, 60, 30))
     with pytest.raises(PatternError, match="panel 'patch' is not sewn to anything; every panel needs a stitch"):
-        sew(tmp_path, pattern, template)
+        sewn(cut_of(tmp_path, pattern), template, RIG, Material(), CPU)

@@ -17,7 +17,6 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_core.model.sway_network import fold_body
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer
-from physkin_training.sway.export import exported
 from physkin_training.sway.modules import Features, SwayModule, swaying_joints
 from physkin_training.sway.shapes import principal_shapes
 
@@ -51,7 +50,7 @@ def test_torch_and_the_reference_agree(step):
         code = codes(torch.as_tensor(modulation)[None])
         offsets = network(drive, pose, code, step)[0].unflatten(1, (-1, 3, 4))
         here = torch.cat([offsets[..., :3].flatten(2), offsets[..., 3]], dim=2).flatten(1).numpy()
-    folded = fold_body(exported(network, (network.out.weight, network.out.bias), joints, codes), modulation)
+    folded = fold_body(network.exported((network.out.weight, network.out.bias), joints, codes), modulation)
     sway = SwayNetwork(SimpleNamespace(dof_lower=RIG.lower, dof_upper=RIG.upper, sway_thighs=(), **folded))
     for frame in range(frames):
         row = FrameInput(gravity[frame], elapsed=-1.0)

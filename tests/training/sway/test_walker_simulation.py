@@ -193,7 +193,8 @@ def test_wind_pulls_as_still_air_does_at_a_root_that_goes_the_other_way(simulati
     [pytest.param("LARGEST_OFFSET", 0.0, id="far away"), pytest.param("MOST_DEEP", -1.0, id="a limb goes through it")],
 )
 def test_cloth_that_is_lost_does_not_count_and_begins_anew(simulation, monkeypatch, limit, value):
-    monkeypatch.setattr(walker_simulation, limit, value)
+    for name, changed in ((limit, value), ("FIRST_STEPS", 1), ("NEWTON", 1), ("PRODUCTS", 3)):
+        monkeypatch.setattr(walker_simulation, name, changed)
     found, counts = offsets_of(simulation, motions(0.0, 3))
     assert counts[0].all() and not counts[1:].any()
     assert found[1:].abs().max() < 1e-5

@@ -54,6 +54,6 @@ class StepSolver(NewtonSolver):
 
     def step(self, here: Point) -> torch.Tensor:
         """No vertex moves farther than `LARGEST_STEP`; others go on as they would."""
-        step, _, _ = self.solve(-here.gradient, self._products, FORCING)
+        step, _ = self.solve(-here.gradient, self._products, FORCING)
         length = torch.linalg.vector_norm(step, dim=2, keepdim=True)
         return step * (LARGEST_STEP / length.clamp_min(LARGEST_STEP))

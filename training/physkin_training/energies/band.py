@@ -1,4 +1,4 @@
-"""The band that holds a garment up: squared distance of its vertices beyond a slack from where they are worn."""
+"""The band that holds a garment up: squared distance of its vertices from where they are worn, beyond a slack."""
 
 from typing import TYPE_CHECKING
 

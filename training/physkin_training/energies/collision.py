@@ -1,7 +1,8 @@
 """Collision: squared depth below the contact offset, to the exact closest point of the posed body.
 
-Of each vertex in contact the kernel keeps the way out and both derivatives of its energy by depth: everything else
-follows from them. The second derivative takes the closest surface for a plane, and is positive semidefinite.
+For each vertex in contact the kernel keeps the direction out of the body, and the first and second derivative of its
+energy by depth; everything else follows from them. The second derivative treats the closest surface as a plane, and is
+positive semidefinite.
 """
 
 from collections.abc import Callable
@@ -22,10 +23,10 @@ wp.set_module_options({"enable_backward": False})
 
 DEEP = 0.01
 """Beyond this depth [m] below the contact offset a hit counts only if the vertex is worn on that part of the body, and
-body and cloth face the same way: else it is another limb, or the wrong side of this one."""
+body and cloth face the same direction. Otherwise it is another limb, or the wrong side of this one."""
 
 ACROSS = 0.01
-"""A vertex this far [m] beyond the middle of the limb that its sleeve goes around came through it: lost, too."""
+"""A vertex this far [m] beyond the middle of the limb that its sleeve goes around came through it, and is lost, too."""
 
 LED_BACK_BEYOND = 0.001
 """Depth [m] behind its own place on the body up to which the force grows that leads a lost vertex back."""
@@ -53,7 +54,7 @@ def collision_kernel(
     energy: wp.array2d(dtype=wp.float32),
     slope: wp.array2d(dtype=wp.float32),
     curvature: wp.array2d(dtype=wp.float32),
-    way_out: wp.array2d(dtype=wp.vec3),
+    out_of_body: wp.array2d(dtype=wp.vec3),
     signed_distance: wp.array2d(dtype=wp.float32),
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
@@ -73,7 +74,7 @@ def collision_kernel(
     energy[s, v] = 0.0
     slope[s, v] = 0.0
     curvature[s, v] = 0.0
-    way_out[s, v] = wp.vec3(0.0, 0.0, 0.0)
+    out_of_body[s, v] = wp.vec3(0.0, 0.0, 0.0)
     signed_distance[s, v] = reach
     at_worn_part[s, v] = False
     depth = 0.0
@@ -111,7 +112,7 @@ def collision_kernel(
     slope[s, v] = 2.0 * k * bounded
     if depth < limit:
         curvature[s, v] = 2.0 * k
-    way_out[s, v] = outward
+    out_of_body[s, v] = outward
     wp.atomic_add(drapes.gradient, s, v, outward * (-2.0 * k * bounded))
 
 
@@ -143,8 +144,8 @@ class Collision(Energy):
         )
         self._stiffness = wp.from_torch(self.stiffness)
         self.signed_distance, self.at_worn_part = cloth.zeros(n), cloth.zeros(n, dtype=torch.bool)
-        self.state = slope, curvature, way_out = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
-        self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), view(way_out)
+        self.state = slope, curvature, out_of_body = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
+        self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), view(out_of_body)
         self._where = wp.from_torch(self.signed_distance), wp.from_torch(self.at_worn_part)
 
     def evaluate(self, drapes: Drapes) -> None:
@@ -158,10 +159,10 @@ class Collision(Energy):
     def forecast(self) -> Callable[[torch.Tensor], torch.Tensor]:
         """Of a step (B, n, 3) [m] from where this was evaluated last: the energies (B, n) [J] that both derivatives
         foresee after it."""
-        values, slope, curvature, way_out = (tensor.clone() for tensor in (self.values, *self.state))
+        values, slope, curvature, out_of_body = (tensor.clone() for tensor in (self.values, *self.state))
 
         def after(step: torch.Tensor) -> torch.Tensor:
-            along = (way_out * step).sum(dim=2)
+            along = (out_of_body * step).sum(dim=2)
             return values + (0.5 * curvature * along - slope) * along
 
         return after

@@ -126,11 +126,12 @@ class Energy:
         """At drapes that it was evaluated at last. None for a linear energy."""
 
     def _launch(self, kernel: wp.Kernel, *arguments: object) -> None:
-        """Of every element of every sample."""
+        """Run a kernel for every element of every sample."""
         wp.launch(kernel, dim=self.values.shape, inputs=arguments, device=wp.device_from_torch(self.cloth.device))
 
     def _add_vertex_blocks(self, blocks: Blocks, *stiffness: wp.array | None) -> None:
-        """Of single vertices: (B, e) [N/m] in all directions, and (B, e) more in directions (B, e), if given."""
+        """Add stiffness of single vertices: (B, e) [N/m] in all directions, and (B, e) more in directions (B, e), each
+        if given."""
         self._launch(add_vertex_blocks_kernel, *stiffness, *[None] * (3 - len(stiffness)), blocks)
 
 

@@ -60,7 +60,7 @@ where it no longer falls."""
 MEASURED_EVERY = 250
 """Steps of such a run at most from one measurement to the next: it is at its best after some hundreds."""
 
-SWAY_PLAN = SwayPlan(walkers=3, rounds=1, steps=10000, tuning_steps=6000)
+SWAY_PLAN = SwayPlan(walkers=3, steps=10000, tuning_steps=6000)
 """As many bodies as `learn-sway` with a seventh of its walkers."""
 SIMULATING, LEARNING, LEAST_FOR_SWAY = 300.0, 120.0, 900.0
 """[s] Kept for simulating walkers, and for learning from them (on an H100, with 320 walkers, a cape takes 115

@@ -104,7 +104,7 @@ class EnergyHessian:
     def add_to_diagonal(self, blocks: torch.Tensor | None = None, damping: torch.Tensor | None = None) -> None:
         """Add a block for every vertex (B, n, 3, 3), and its area times the damping (B,) [N/m3].
 
-        `precondition` needs it, be there nothing to add.
+        To be called before `precondition`, even if there is nothing to add.
         """
         wp.launch(
             damp_and_invert_kernel,

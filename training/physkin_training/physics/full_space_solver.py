@@ -1,16 +1,13 @@
 """Newton's method for the energy's minimum over all vertices of a garment, several samples at once.
 
-The second derivative is the exact one while that curves up along the steps, and the one made positive block by block
-where it did not. A step that does not decrease the energy is solved for anew with what it taught about single vertices
-(`vertex_secants`), and at last shortened.
+The exact second derivative is used while it curves up along the steps, otherwise one that is made positive block by
+block. A step that does not lower the energy is solved for again with what it showed about single vertices
+(`vertex_secants`), and finally shortened.
 
 Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 
@@ -21,40 +18,28 @@ from physkin_training.physics.physics_losses import PhysicsLosses
 from physkin_training.physics.vertex_secants import Trial, VertexSecants
 from physkin_training.quiet_warp import wp
 
-__all__ = ["FullSpaceSolver", "Progress"]
+__all__ = ["FullSpaceSolver"]
 
 SUFFICIENT = 1e-4
-"""Share of the decrease expected along a step that it must bring."""
+"""Share of the expected decrease that a step must bring."""
 ROUNDING = 3e-9
 """Change of the energy, relative to the sum of its terms' sizes, that single precision cannot tell from none."""
 SOLVES = 4
-"""Steps solved for in one iteration at most; after that the last one is shortened."""
+"""Steps that are solved for in one iteration at most. After that the last one is shortened."""
 HALVINGS = 10
 """A step shorter than 2^-10 is given up, and the next one damped more."""
 GIVE_UP = 6
 """Iterations in a row without any progress after which a sample is left where it is."""
 STALL_AFTER = 25
 STALL_SHARE = 1e-3
-"""A sample is given up, too, when so many iterations neither halve its gradient norm nor bring its energy down by more
-than this share of the sum of its terms' sizes."""
+"""A sample is also given up when so many iterations neither halve its gradient norm nor lower its energy by more than
+this share of the sum of its terms' sizes."""
 FORCING = 0.1
 """Largest residual of the linear systems, relative to their right-hand sides."""
 FIRST_DAMPING = 100.0
 """[N/m3], against a cloth of 0.2 kg/m2: its own weight would then move it by 2 cm."""
 COOLING, HEATING = 0.5, 4.0
-"""Change of the damping after a full step, and after one that had to be shortened much."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """State after an iteration: energy (B,) float64 [J], gradient norm (B,) [N], matrix products so far, and which
-    samples were still under way (B,) bool."""
-
-    iteration: int
-    energy: torch.Tensor
-    gradient_norm: torch.Tensor
-    products: int
-    active: torch.Tensor
+"""Factors of the damping after a full step, and after one that had to be shortened much."""
 
 
 class FullSpaceSolver(NewtonSolver):
@@ -82,12 +67,11 @@ class FullSpaceSolver(NewtonSolver):
         tolerance: float = 1e-2,
         iterations: int = 300,
         products: int = 300,
-        watch: Callable[[Progress], None] | None = None,
     ) -> Solution:
         """From `start` (B, n, 3) to the minimum under gravity (B, 3) on the posed bodies (see `PhysicsLosses`).
 
         tolerance: of the gradient norm, relative to the force scale. iterations: Newton steps at most. products: matrix
-        products at most for one step. watch: called after every iteration.
+        products at most for one step.
         Raises ValueError when the energy at `start` is not finite.
         """
         self.begin(gravity, body, body_offset)
@@ -96,19 +80,19 @@ class FullSpaceSolver(NewtonSolver):
             raise ValueError(
                 f"the energy at the start is {here.energy.tolist()} J; the start must be finite and regular"
             )
-        self._tolerance, self._products, self._watch = tolerance, products, watch
+        self._tolerance, self._products = tolerance, products
         self._secants = VertexSecants(here.vertices)
         self._damping = torch.full_like(here.energy, FIRST_DAMPING, dtype=torch.float32)
         self._exact, self._stalled = torch.zeros_like(self._everyone), torch.zeros_like(self._everyone)
         self._failures = torch.zeros_like(self._everyone, dtype=torch.int64)
-        self._used, self._then = 0, here.energy
+        self._then = here.energy
         self._lowest, self._lowest_then = (torch.full_like(self._damping, torch.inf) for _ in range(2))
         here, taken = self.descend(here, iterations)
         norms, scale = self._norm(here), self.force_scale
         return Solution(here.vertices, norms <= tolerance * scale, norms, here.terms, taken, scale)
 
     def under_way(self, here: Point, iteration: int) -> torch.Tensor:
-        self._iteration, norms = iteration, self._norm(here)
+        norms = self._norm(here)
         self._forcing = (norms / self.force_scale).sqrt().clamp(max=FORCING)
         self._lowest = torch.minimum(self._lowest, norms)
         if iteration and iteration % STALL_AFTER == 0:
@@ -130,8 +114,6 @@ class FullSpaceSolver(NewtonSolver):
         self._exact = (share >= 1) & ~bent
         factor = torch.where(self._exact, COOLING, torch.where(share < 0.3, HEATING, 1.0))
         self._damping = torch.where(active, self._damping * factor, self._damping).clamp(1e-3, 1e5)
-        if self._watch:
-            self._watch(Progress(self._iteration, there.energy, self._norm(there), self._used, active))
         return there
 
     def _lower(self, here: Point, active: torch.Tensor) -> tuple[Point, torch.Tensor, torch.Tensor]:
@@ -145,10 +127,9 @@ class FullSpaceSolver(NewtonSolver):
         for attempt in range(SOLVES + HALVINGS):
             if attempt < SOLVES:
                 self.hessian.active.copy_(waiting)
-                solved, down, count = self.solve(-here.gradient, self._products, self._forcing)
+                solved, down = self.solve(-here.gradient, self._products, self._forcing)
                 step = torch.where(waiting[:, None, None], _shortened(solved), step)
                 bent |= down
-                self._used += count
                 slope = inner(here.gradient, step)
             there = self.point(here.vertices + share.to(step.dtype)[:, None, None] * step)
             change = there.energy - here.energy
@@ -168,7 +149,7 @@ class FullSpaceSolver(NewtonSolver):
         return self.point(here.vertices + share.to(step.dtype)[:, None, None] * step), share, bent
 
     def _trial(self, here: Point, there: Point) -> Trial:
-        """What was foreseen of the way from here to there, where the losses were evaluated last."""
+        """The step from here to there, where the losses were evaluated last, and what was foreseen of it."""
         step = there.vertices - here.vertices
         foreseen = torch.zeros_like(step)
         self.hessian.multiply(step, foreseen)

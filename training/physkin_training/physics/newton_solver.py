@@ -182,10 +182,10 @@ class NewtonSolver:
 
     def solve(
         self, force: torch.Tensor, products: int, forcing: torch.Tensor | float | None
-    ) -> tuple[torch.Tensor, torch.Tensor, int]:
-        """Steps, in variables, of the samples that the Hessian has active, which of them met negative curvature (B,),
-        and how many products were needed; at most `products`. forcing: of the residual's norm, how much may be left;
-        None asks for all products. A sample that meets negative curvature stops where it is (Steihaug 1983)."""
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Steps, in variables, of the samples that the Hessian has active, and which of them met negative curvature
+        (B,); those stop where they are (Steihaug 1983). products: matrix products at most. forcing: the share of the
+        residual's norm that may be left; None uses all products."""
         waiting = self.hessian.active.clone()
         step, product = torch.zeros_like(force), torch.zeros_like(force)
         residual = force * of_samples(waiting, force)
@@ -213,7 +213,7 @@ class NewtonSolver:
             previous, rho = rho, inner(residual, ahead)
             beta = torch.where(waiting, rho / previous, 0.0).to(step.dtype)
             direction = ahead + of_samples(beta, step) * direction
-        return step, bent, count
+        return step, bent
 
 
 def of_samples(values: torch.Tensor, field: torch.Tensor) -> torch.Tensor:

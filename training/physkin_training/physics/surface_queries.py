@@ -6,7 +6,6 @@ Dimensions: `n` points, `f` faces, `e` edges. Metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -29,7 +28,7 @@ def closest_kernel(
     face: wp.array(dtype=wp.int32),
     barycentric: wp.array(dtype=wp.vec3),
 ):
-    """Signed distance, the way out, and where on the body the closest point is."""
+    """Signed distance, the direction in which it grows, and where on the body the closest point is."""
     i = wp.tid()
     hit = wp.mesh_query_point_sign_normal(body, points[i], farthest)
     face[i] = hit.face
@@ -37,36 +36,28 @@ def closest_kernel(
     gap = points[i] - wp.mesh_eval_position(body, hit.face, hit.u, hit.v)
     length = wp.length(gap)
     distance[i] = hit.sign * length
-    way = wp.mesh_eval_face_normal(body, hit.face)
+    out = wp.mesh_eval_face_normal(body, hit.face)
     if length > 1.0e-6:
-        way = gap * (hit.sign / length)
-    outward[i] = way
+        out = gap * (hit.sign / length)
+    outward[i] = out
 
 
 @wp.kernel
-def surrounded_kernel(
-    points: wp.array(dtype=wp.vec3), body: wp.uint64, least: wp.float32, found: wp.array(dtype=wp.bool)
-):
-    """Whether a mesh's winding number (Barill et al. 2018) is at least so much."""
-    i = wp.tid()
-    hit = wp.mesh_query_point_sign_winding_number(body, points[i], FARTHEST, 2.0, least)
-    found[i] = hit.sign < 0.0
-
-
-@wp.kernel
-def facing_kernel(
+def met_kernel(
     points: wp.array(dtype=wp.vec3),
-    ways: wp.array(dtype=wp.vec3),
-    body: wp.uint64,
+    directions: wp.array(dtype=wp.vec3),
+    mesh_id: wp.uint64,
     reach: wp.float32,
+    side: wp.float32,
     face: wp.array(dtype=wp.int32),
     barycentric: wp.array(dtype=wp.vec3),
 ):
-    """The first face that a ray meets within `reach`, where it looks towards the ray; else -1."""
+    """The first face that a ray meets within `reach`, if it is met from the wanted side, 1 outside or -1 inside; else
+    -1."""
     i = wp.tid()
-    hit = wp.mesh_query_ray(body, points[i], ways[i], reach)
+    hit = wp.mesh_query_ray(mesh_id, points[i], directions[i], reach)
     face[i] = -1
-    if hit.result and wp.dot(hit.normal, ways[i]) < 0.0:
+    if hit.result and side * wp.dot(hit.normal, directions[i]) < 0.0:
         face[i] = hit.face
         barycentric[i] = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
 
@@ -82,7 +73,7 @@ def piercing_kernel(
     mesh = wp.mesh_get(mesh_id)
     a, b = edges[i, 0], edges[i, 1]
     p, q = mesh.points[a], mesh.points[b]
-    way = q - p
+    along_edge = q - p
     query = wp.mesh_query_aabb(mesh_id, wp.min(p, q), wp.max(p, q))
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
@@ -90,45 +81,34 @@ def piercing_kernel(
         if i0 != a and i1 != a and i2 != a and i0 != b and i1 != b and i2 != b:
             x0 = mesh.points[i0]
             side1, side2 = mesh.points[i1] - x0, mesh.points[i2] - x0
-            across = wp.cross(way, side2)
+            across = wp.cross(along_edge, side2)
             volume = wp.dot(side1, across)
             if wp.abs(volume) > 1.0e-16:
                 offset = p - x0
                 u = wp.dot(offset, across) / volume
                 turned = wp.cross(offset, side1)
-                v = wp.dot(way, turned) / volume
+                v = wp.dot(along_edge, turned) / volume
                 along = wp.dot(side2, turned) / volume
                 if u > 0.0 and v > 0.0 and u + v < 1.0 and along > 0.0 and along < 1.0:
                     pierces[i] = True
 
 
 @wp.kernel
-def layers_kernel(mesh_id: wp.uint64, reach: wp.float32, start: wp.float32, sides: wp.array2d(dtype=wp.bool)):
+def layers_kernel(
+    mesh_id: wp.uint64,
+    reach: wp.float32,
+    start: wp.float32,
+    over: wp.array(dtype=wp.bool),
+    under: wp.array(dtype=wp.bool),
+):
     """Whether a ray from a face's centre, outwards and inwards, meets a nearly parallel face within `reach`."""
     i = wp.tid()
     centre = wp.mesh_eval_position(mesh_id, i, 1.0 / 3.0, 1.0 / 3.0)
     normal = wp.mesh_eval_face_normal(mesh_id, i)
-    for side in range(2):
-        way = normal * (1.0 - 2.0 * float(side))
-        hit = wp.mesh_query_ray(mesh_id, centre + way * start, way, reach - start)
-        if hit.result and wp.abs(wp.dot(hit.normal, normal)) > 0.7:
-            sides[i, side] = True
-
-
-@wp.kernel
-def covering_kernel(
-    mesh_id: wp.uint64,
-    points: wp.array(dtype=wp.vec3),
-    ways: wp.array(dtype=wp.vec3),
-    reach: wp.float32,
-    face: wp.array(dtype=wp.int32),
-):
-    """The first face that a ray meets within `reach`, where it looks away from where the ray comes; else -1."""
-    i = wp.tid()
-    hit = wp.mesh_query_ray(mesh_id, points[i], ways[i], reach)
-    face[i] = -1
-    if hit.result and wp.dot(hit.normal, ways[i]) > 0.0:
-        face[i] = hit.face
+    above = wp.mesh_query_ray(mesh_id, centre + normal * start, normal, reach - start)
+    below = wp.mesh_query_ray(mesh_id, centre - normal * start, -normal, reach - start)
+    over[i] = above.result and wp.abs(wp.dot(above.normal, normal)) > 0.7
+    under[i] = below.result and wp.abs(wp.dot(below.normal, normal)) > 0.7
 
 
 @dataclass(frozen=True)
@@ -143,44 +123,27 @@ class Closest:
 
 
 class BodySurface:
-    """A closed body: vertices (V, 3) [m], faces (f, 3) counter-clockwise seen from outside."""
+    """A body, or a garment: vertices (V, 3) [m], faces (f, 3) counter-clockwise seen from outside. A body is closed."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        wp.init()
         self.vertices, self.faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
         self.normals = vertex_normals(self.vertices, self.faces)
         self._mesh = _mesh(self.vertices, self.faces)
 
     def closest(self, points: np.ndarray) -> Closest:
         """The closest point of the body to each of points (n, 3)."""
-        n = len(points)
-        where = wp.array(np.asarray(points, dtype=np.float32), dtype=wp.vec3, device="cpu")
-        distance, face = wp.zeros(n, wp.float32, device="cpu"), wp.zeros(n, wp.int32, device="cpu")
-        outward, barycentric = (wp.zeros(n, wp.vec3, device="cpu") for _ in range(2))
-        inputs = [where, self._mesh.id, FARTHEST]
-        wp.launch(closest_kernel, n, inputs, [distance, outward, face, barycentric], device="cpu")
-        return Closest(*(array.numpy().copy() for array in (distance, outward, face, barycentric)))
+        given = [_vectors(points), self._mesh.id, FARTHEST]
+        return Closest(*_launched(closest_kernel, len(points), given, wp.float32, wp.vec3, wp.int32, wp.vec3))
 
-    def facing(self, points: np.ndarray, ways: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    def facing(
+        self, points: np.ndarray, directions: np.ndarray, reach: float, *, from_inside: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Where rays from points (n, 3) along unit vectors (n, 3) first meet the body: faces (n,), -1 where they do not
-        within `reach` [m] or come from inside, and barycentric coordinates (n, 3)."""
-        n = len(points)
-        rays = [wp.array(np.asarray(array, np.float32), dtype=wp.vec3, device="cpu") for array in (points, ways)]
-        face, barycentric = wp.zeros(n, wp.int32, device="cpu"), wp.zeros(n, wp.vec3, device="cpu")
-        wp.launch(facing_kernel, n, [*rays, self._mesh.id, reach], [face, barycentric], device="cpu")
-        return face.numpy().copy(), barycentric.numpy().copy()
-
-    def surrounds(self, points: np.ndarray, *, times: int = 1) -> np.ndarray:
-        """Which of points (n, 3) are inside the body, (n,) bool; with times=2, inside two of its parts at once, as
-        where an arm runs into the trunk. `closest` knows the nearest skin only."""
-        found = wp.zeros(len(points), wp.bool, device="cpu")
-        where = wp.array(np.asarray(points, dtype=np.float32), dtype=wp.vec3, device="cpu")
-        wp.launch(surrounded_kernel, len(points), [where, self._winding_mesh.id, times - 0.5], [found], device="cpu")
-        return found.numpy().copy()
-
-    @cached_property
-    def _winding_mesh(self) -> wp.Mesh:
-        return _mesh(self.vertices, self.faces, support_winding_number=True)
+        within `reach` [m] or come from inside, and barycentric coordinates (n, 3). from_inside: only rays that come
+        from there."""
+        given = [_vectors(points), _vectors(directions), self._mesh.id, reach, -1.0 if from_inside else 1.0]
+        face, barycentric = _launched(met_kernel, len(points), given, wp.int32, wp.vec3)
+        return face, barycentric
 
     def push_out(self, points: np.ndarray, clearance: float, *, iterations: int = 30, step: float = 0.02) -> np.ndarray:
         """`points` (n, 3), those closer than `clearance` [m] moved out, at most `step` [m] an iteration."""
@@ -197,39 +160,39 @@ class BodySurface:
 
 def piercing_edges(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Which edges (e, 2) of a mesh cross one of its faces, (e,) bool. Touching does not count."""
-    wp.init()
     mesh = _mesh(vertices, faces)
-    pierces = wp.zeros(len(edges), wp.bool, device="cpu")
-    inputs = [mesh.id, wp.array(edges, dtype=wp.int32, device="cpu")]
-    wp.launch(piercing_kernel, len(edges), inputs, [pierces], device="cpu")
-    return pierces.numpy().copy()
+    given = [mesh.id, wp.array(edges, dtype=wp.int32, device="cpu")]
+    return _launched(piercing_kernel, len(edges), given, wp.bool)[0]
 
 
 def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
     """Which faces have another, nearly parallel one over them within `reach` [m], where their normals point, and which
     under them, (f, 2) bool."""
-    wp.init()
     mesh = _mesh(vertices, faces)
-    sides = wp.zeros((len(faces), 2), wp.bool, device="cpu")
-    wp.launch(layers_kernel, len(faces), [mesh.id, reach, 1e-5], [sides], device="cpu")
-    return sides.numpy().copy()
+    return np.stack(_launched(layers_kernel, len(faces), [mesh.id, reach, 1e-5], wp.bool, wp.bool), axis=1)
 
 
 def covering_faces(
-    points: np.ndarray, ways: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float = FARTHEST
+    points: np.ndarray, directions: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float = FARTHEST
 ) -> np.ndarray:
     """The face of a garment that points (k, 3) of a body lie under, (k,) int32, or -1: a ray along the unit vector of
     each (k, 3) meets it first, from inside, within `reach` [m]. An arm beside a shirt meets the shirt from outside, and
     is not under it."""
+    return BodySurface(vertices, faces).facing(points, directions, reach, from_inside=True)[0]
+
+
+def _launched(kernel: wp.Kernel, count: int, given: list, *outputs: type) -> list[np.ndarray]:
+    """What a kernel writes for each of so many elements, an array for each type."""
+    written = [wp.zeros(count, dtype, device="cpu") for dtype in outputs]
+    wp.launch(kernel, count, given, written, device="cpu")
+    return [array.numpy().copy() for array in written]
+
+
+def _vectors(points: np.ndarray) -> wp.array:
+    return wp.array(np.asarray(points, dtype=np.float32), dtype=wp.vec3, device="cpu")
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> wp.Mesh:
     wp.init()
-    mesh = _mesh(vertices, faces)
-    covering = wp.zeros(len(points), wp.int32, device="cpu")
-    rays = [wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu") for array in (points, ways)]
-    wp.launch(covering_kernel, len(points), [mesh.id, *rays, reach], [covering], device="cpu")
-    return covering.numpy().copy()
-
-
-def _mesh(vertices: np.ndarray, faces: np.ndarray, **support: bool) -> wp.Mesh:
-    points = wp.array(np.asarray(vertices, dtype=np.float32), dtype=wp.vec3, device="cpu")
     corners = wp.array(np.asarray(faces, dtype=np.int32).reshape(-1), dtype=wp.int32, device="cpu")
-    return wp.Mesh(points, corners, **support)
+    return wp.Mesh(_vectors(vertices), corners)

@@ -1,8 +1,8 @@
-"""What trial steps teach about single vertices: contact that a second derivative at one point cannot foresee.
+"""What trial steps show about single vertices: contact that a second derivative at one point cannot foresee.
 
-Where a vertex meets the body, or crosses from one side of a crease of the body to the other, its force jumps; a whole
-garment cannot be held up by that. A vertex whose force at a trial point differs from what was foreseen gets the
-stiffness that would have foreseen it (a secant, of rank one and of that vertex alone) for the next tries.
+Where a vertex meets the body, or crosses from one side of a crease of the body to the other, its force jumps. That must
+not keep the whole garment from moving. A vertex whose force at a trial point differs from what was foreseen gets the
+stiffness that would have foreseen it, for the next tries: a secant, of rank one and for that vertex alone.
 
 Dimensions: `B` samples, `n` garment vertices. Metres, newtons, joules.
 """
@@ -16,9 +16,9 @@ import torch
 __all__ = ["Trial", "VertexSecants"]
 
 SURPRISE = 0.1
-"""Share of the work foreseen at a vertex from which on another outcome is learned from."""
+"""An outcome is learned from if it differs from the work foreseen at a vertex by this share or more."""
 DECAY = 0.5
-"""What is left of a secant after every iteration."""
+"""Share of a secant that remains after every iteration."""
 CREASE = 1e-4
 """Two forces on a vertex count as those of one crease when found no farther [m] apart."""
 WALL = 1e3
@@ -63,7 +63,7 @@ class VertexSecants:
         return added
 
     def arrive(self, samples: torch.Tensor, vertices: torch.Tensor, gradient: torch.Tensor, trial: Trial) -> None:
-        """Samples (B,) bool have taken the step: what was surprising about it now lies behind them."""
+        """Samples (B,) bool have taken the step: the surprise about it is now on their other side."""
         self.blocks *= DECAY
         turned, climbed = self._surprised(samples, trial.vertices - vertices, gradient, trial)
         none = torch.zeros_like(climbed)

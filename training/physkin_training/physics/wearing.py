@@ -29,8 +29,8 @@ HUNG_BESIDE = 4 / 3
 """Cloth that is farther from all of the body hangs around it. It is worn on the closest part of each limb, and on those
 at most this many times as far away: a heel comes up behind a cape."""
 BEHIND = -0.35
-"""Cosine between the way to a part and the cloth's normal below which the part is behind the cloth, as all are that a
-skirt hangs around; others are beside it or in front of it."""
+"""Cosine between the direction to a part and the cloth's normal. Below this the part is behind the cloth, as all parts
+are that a skirt hangs around; otherwise it is beside the cloth or in front of it."""
 RIM_WITHIN = 0.02
 """Cloth is worn on a bare limb where all other parts are farther away, by at least this [m]: the rim on a shoulder."""
 GOES_AROUND = 0.3
@@ -154,10 +154,10 @@ def _hung_around(
     for limb in np.unique(limbs[vertex_bone]):
         skin = np.flatnonzero(limbs[vertex_bone] == limb)
         skin = skin[cKDTree(avatar.vertices[skin]).query(place)[1]]
-        ways = place - avatar.vertices[skin]
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        seen = covering_faces(avatar.vertices[skin], ways, garment.vertices, garment.faces) == face
-        seen &= (avatar.faces[surface.facing(place, -ways, FARTHEST)[0]] == skin[:, None]).any(axis=1)
+        directions = place - avatar.vertices[skin]
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        seen = covering_faces(avatar.vertices[skin], directions, garment.vertices, garment.faces) == face
+        seen &= (avatar.faces[surface.facing(place, -directions, FARTHEST)[0]] == skin[:, None]).any(axis=1)
         of_limb = np.where(limbs == limb, distance, np.inf)
         about_closest = of_limb <= HUNG_BESIDE * of_limb.min(axis=1, keepdims=True)
         around |= seen[:, None] & about_closest & np.isfinite(of_limb)

@@ -1,9 +1,10 @@
-"""Network weights on few steps, what each loses made up for by those after it (GPTQ, Frantar et al. 2023).
+"""Rounds network weights to few steps, each making up for what rounding the earlier ones changed (GPTQ, Frantar et al.
+2023).
 
-The native evaluator computes in eight bits with a scale a row, and a deflated file takes the fewer bits the fewer steps
-there are. Rounded one by one, network weights would move vertices by centimetres. Inputs of a layer hang together, so
-that other network weights of a row can take over what rounding one of them adds. What is stored is on the evaluator's
-own steps, so that it rounds nothing again.
+The native evaluator computes in eight bits with one scale a row, and a deflated file is the smaller the fewer steps
+there are. Rounded one by one, network weights would move vertices by centimetres. But the inputs of a layer are
+correlated, so that other network weights of a row can make up for what rounding one of them changes. The results lie on
+the evaluator's own steps, so that it does not round them again.
 
 Dimensions: `k` inputs of a layer, `o` its outputs.
 """
@@ -13,21 +14,26 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from torch import nn
 
 from physkin_core.formats.packed_weights import MOST_STEPS, MOST_STEPS_IN_8_BITS
 
-__all__ = ["Rounding", "compensated_rounding", "mean_square"]
+__all__ = ["InputSquares", "Rounding", "compensated_rounding", "mean_square"]
 
 AT_ONCE = 64
-"""Columns whose losses are handed on together to those after them."""
+"""Columns whose losses are passed on together to the columns after them."""
 
 
 @dataclass(frozen=True)
 class Rounding:
-    """How finely a layer is rounded. every: to multiples of so many steps, but for the largest. alike: outputs are in
-    one unit, and rounded to the same absolute size, that of a row with the root mean square of all largest; else each
-    by its own. four: the columns of a transform have a scale each. damping: of the inputs' mean square, added to each,
-    so that what frames do not tell stays as it was."""
+    """How finely a layer is rounded.
+
+    every: to multiples of so many steps of the row; its largest network weight stays exact. alike: all outputs have the
+    same unit, so all rows are rounded to multiples of the same size, `every` root mean square steps. four: each column
+    of a transform has a scale of its own. damping: this share of the inputs' mean square is added to every input's, so
+    that network weights on which the frames have no influence stay as they were.
+    """
 
     every: int
     alike: bool = False
@@ -35,15 +41,15 @@ class Rounding:
     damping: float = 0.02
 
     def at(self, every: int | None) -> Rounding:
-        """The same at so many steps, None for its own."""
+        """The same with multiples of so many steps; None leaves it as it is."""
         return self if every is None else replace(self, every=every)
 
 
 def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """A network weight (o, k) in whole steps of its row, close to it over inputs of which the mean of products is
-    `square` (k, k): (o, k) float32.
+    """Network weights (o, k) float32 in whole steps of their row, with outputs close to those of `weight` (o, k).
 
-    Column by column, the strongest inputs first; the largest of a row stays, for it tells the size of its steps.
+    square: (k, k), mean of products of the layer's inputs. Columns are rounded one after the other, the strongest
+    inputs first. The largest of a row stays, because it defines the size of the steps.
     """
     inputs = len(square)
     order = np.argsort(-np.diag(square), kind="stable")
@@ -74,9 +80,27 @@ def compensated_rounding(weight: np.ndarray, square: np.ndarray, rounding: Round
     return np.ascontiguousarray(rounded[:, np.argsort(order)], dtype=np.float32)
 
 
+class InputSquares:
+    """Means of products of what layers read, from here on, whenever their network is called. layers: by name."""
+
+    def __init__(self, layers: dict[str, nn.Linear]) -> None:
+        self._sums = dict.fromkeys(layers, (0, 0))
+        for name, layer in layers.items():
+            layer.register_forward_hook(lambda _, inputs, __, name=name: self._add(name, inputs[0]))
+
+    def _add(self, name: str, x: torch.Tensor) -> None:
+        x = x.detach().flatten(0, -2).double()
+        total, count = self._sums[name]
+        self._sums[name] = total + x.T @ x, count + len(x)
+
+    def means(self) -> dict[str, np.ndarray]:
+        """(k, k) float64 by the name of the layer, once all have been called."""
+        return {name: (total / count).cpu().numpy() for name, (total, count) in self._sums.items()}
+
+
 def mean_square(square: np.ndarray) -> float:
-    """Of the inputs whose mean of products is `square` (k, k). 1 where all are 0, as those of a layer that training has
-    put to sleep are (every ReLU before it below 0): its network weights are then rounded one by one."""
+    """Mean square of the inputs whose mean of products is `square` (k, k). 1 where all are 0, as in a layer that
+    training has put to sleep: its network weights are then rounded one by one."""
     return float(np.trace(square)) / len(square) or 1.0
 
 

@@ -1,7 +1,7 @@
-"""A garment model with all of its large networks rounded, over the poses of everyday life and training bodies.
+"""A garment model with its large networks rounded so that drapes of training bodies in everyday poses stay close.
 
-Each layer makes up for what rounding those before it did to its inputs. The pose modulator's first layer stays as it
-is, and so do small ones of the encoder.
+Each layer makes up for what rounding the layers before it did to its inputs. The pose modulator's first layer and small
+layers of the encoder are not rounded.
 
 Dimensions: `k` inputs of a layer, `o` its outputs, `F` frames.
 """
@@ -27,34 +27,37 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.rig.rig import Rig, pose_vector
 from physkin_core.runtime.garment_on_body import put_on_body
 from physkin_training.networks.export import drape_from_model, encode_bodies
-from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding, mean_square
+from physkin_training.rounding.compensated_rounding import (
+    InputSquares,
+    Rounding,
+    compensated_rounding,
+    mean_square,
+)
 from physkin_training.rounding.rounded_sway import rounded_sway
 from physkin_training.sampling.everyday_poses import EverydayPoses
 
 __all__ = ["rounded_model"]
 
 BODIES, EVERY, EVERYDAY, FARTHER = 12, 12, 300, 300
-"""Training bodies; of each clip's frames one in so many, everyday poses drawn beside them, and poses between all those
-and any in the joint limits."""
+"""How many training bodies; one of how many frames of each clip; how many everyday poses are drawn, and how many poses
+between all those and any within the joint limits."""
 ENCODED_BODIES, ENCODED_POINTS, AT_ONCE = 256, 512, 16
-"""Training bodies that the encoder sees, at both fits, cloth that bends otherwise among them: many, for its last layers
-read one vector of each; and an eighth of the points, which tells the inputs of the others as well;
-so many bodies at a time."""
+"""How many training bodies the encoder reads, at both fits and some with other bending: many, because its last layers
+read only one vector of each. How many points of each, an eighth of the usual number, which is enough for the other
+layers. How many bodies at a time."""
 POSE_HIDDEN, POSE_LAST = Rounding(12), Rounding(16, alike=True)
 DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(32, four=True, damping=1e-4), Rounding(3), Rounding(3)
 FEATURES, OFFSETS = Rounding(2), Rounding(2, alike=True)
 ENCODER, ENCODER_OUTPUT = Rounding(24), Rounding(48)
 LEAST_ROUNDED = 2**13
-"""Network weights of the encoder that are fewer are left alone, and those that read points."""
+"""Layers of the encoder with fewer network weights are not rounded; neither is the one that reads points."""
 
 
 def rounded_model(
     model: GarmentModel, *, device: torch.device | str = "cpu", seed: int = 0, finely: bool = False
 ) -> GarmentModel:
-    """The model with its networks rounded, over drapes on training bodies. device: where bodies are encoded. finely: to
-    each of the evaluator's steps, which moves cloth by less and takes a larger file.
-
-    Raises ValueError for another rig than the body model's."""
+    """The model with its networks rounded. device: where bodies are encoded. finely: to each of the evaluator's steps,
+    which moves cloth less and makes a larger file. Raises ValueError for another rig than the body model's."""
     body_model = load_body_model()
     if model.rig.to_json() != body_model.rig.to_json():
         raise ValueError("network weights are rounded over the body model's poses; this garment has another rig")
@@ -80,7 +83,7 @@ def rounded_model(
 
 @dataclass
 class _Pass:
-    """What the next layer reads (F, k): of the network as it was, and of the rounded one. every: see `Rounding.at`."""
+    """The inputs (F, k) of the next layer, in the exact network and in the rounded one. every: see `Rounding.at`."""
 
     exact: np.ndarray
     rounded: np.ndarray
@@ -88,11 +91,11 @@ class _Pass:
     _before: tuple[np.ndarray, np.ndarray] | None = None
 
     def before_last(self) -> _Pass:
-        """What the last layer read."""
+        """The inputs of the layer before."""
         return _Pass(*self._before, self.every)
 
     def round(self, weight: np.ndarray, rounding: Rounding | None) -> np.ndarray:
-        """The weight (o, k) rounded, so that it makes of the rounded inputs what it made of the exact ones."""
+        """The weight (o, k) rounded, so that rounded inputs give what exact inputs gave before."""
         if rounding is None:
             return weight
         exact, given = self.exact.astype(np.float64), self.rounded.astype(np.float64)
@@ -112,8 +115,8 @@ def _rounded(
     modulations: tuple[np.ndarray, np.ndarray],
     plan: tuple[Rounding | None, Rounding, Rounding],
 ) -> tuple[Layer, ...]:
-    """Layers rounded, the first, hidden ones and the last as planned; then `on` holds what the last gives.
-    modulations: (F, s) as they were, and by rounded networks."""
+    """Layers rounded by the plan for the first, the hidden and the last of them. Afterwards `on` holds the outputs of
+    the last. modulations: (F, s) of the exact and of the rounded networks."""
     first, hidden, last = plan
     plans = [first, *[hidden] * (len(layers) - 2), last]
     result = []
@@ -129,7 +132,7 @@ def _rounded(
 
 
 def _rounded_detail(detail: Detail, hidden: _Pass) -> Detail:
-    """hidden: what features are made of."""
+    """The detail with its layers rounded. hidden: the inputs of its features."""
     weight, bias = detail.features
     rounded = hidden.round(weight, FEATURES)
     hidden.go_on(silu(hidden.exact @ weight.T + bias), silu(hidden.rounded @ rounded.T + bias))
@@ -138,8 +141,8 @@ def _rounded_detail(detail: Detail, hidden: _Pass) -> Detail:
 
 @dataclass(frozen=True)
 class _Frames:
-    """poses (F, p), posed garment nodes (F, 12 m), and modulations of the pose modulator (F, s): as the encoder gave
-    them, and as the rounded one does."""
+    """poses (F, p), posed garment nodes (F, 12 m), and modulations of the pose modulator (F, s), from the exact encoder
+    and from the rounded one."""
 
     poses: np.ndarray
     nodes: np.ndarray
@@ -174,20 +177,14 @@ def _frames(
 def _encoder_squares(
     model: GarmentModel, body_model: BodyModel, device: torch.device | str, random: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Mean of products (k, k) of what layers of the hyper modulator read of training bodies, by the name of the weight;
-    of those that are rounded."""
+    """Means of products (k, k) of the inputs, over training bodies, of the hyper modulator's layers that are rounded,
+    by the names of their weights."""
     encoder = drape_from_model(model).to(device).networks.hyper_modulator
-    sums: dict[str, np.ndarray] = {}
-    counts: dict[str, int] = {}
-
-    def add(name: str, x: torch.Tensor) -> None:
-        x = x.detach().flatten(0, -2).double()
-        sums[name] = sums.get(name, 0) + (x.T @ x).cpu().numpy()
-        counts[name] = counts.get(name, 0) + len(x)
-
-    for name, layer in encoder.named_modules():
-        if isinstance(layer, nn.Linear) and name != "embed" and layer.weight.numel() >= LEAST_ROUNDED:
-            layer.register_forward_hook(lambda _, inputs, __, name=name: add(f"{name}.weight", inputs[0]))
+    layers = {
+        name: layer for name, layer in encoder.named_modules() if isinstance(layer, nn.Linear) and name != "embed"
+    }
+    large = {f"{name}.weight": layer for name, layer in layers.items() if layer.weight.numel() >= LEAST_ROUNDED}
+    squares = InputSquares(large)
     softest, stiffest = (bending_code(2.0**octave) for octave in BENDING_OCTAVES)
     bodies = random.permutation(len(body_model.train_bodies))[:ENCODED_BODIES]
     for some in np.array_split(bodies, -(-len(bodies) // AT_ONCE)):
@@ -198,11 +195,11 @@ def _encoder_squares(
         given = (*(np.stack(part) for part in zip(*surfaces, strict=True)), fits, bending)
         with torch.no_grad():
             encoder(*(torch.as_tensor(part, dtype=torch.float32, device=device) for part in given))
-    return {name: total / counts[name] for name, total in sums.items()}
+    return squares.means()
 
 
 def _poses(rig: Rig, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Joint positions (F, d) [rad] and gravity (F, 3): everyday ones, of clips, and others less and less like them."""
+    """Joint positions (F, d) [rad] and gravity (F, 3): everyday poses, frames of clips, and poses farther from both."""
     clips = [load_motion(name) for name in bundled_motions()]
     drawn = EverydayPoses(rig, torch.device("cpu")).sample(
         EVERYDAY, generator=torch.Generator().manual_seed(int(random.integers(1 << 31)))

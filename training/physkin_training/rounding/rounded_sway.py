@@ -1,20 +1,19 @@
-"""A learnt sway network on few steps, over motions such as it was learnt from.
+"""A learnt sway network with its layers rounded, over motions such as those it was learnt from.
 
 Dimensions: `c` body code.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import nn
 
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_core.rig.rig import Rig
 from physkin_training.dynamics.scenes import RATE_HZ
-from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
+from physkin_training.rounding.compensated_rounding import InputSquares, Rounding, compensated_rounding
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.motions import MotionPool
 
@@ -29,15 +28,8 @@ ROUNDINGS = {"first": FINE, "drive": FINE, "gate": FINE, "read": HALF, "last": H
 
 def rounded_sway(sway: SwayNetwork, rig: Rig, *, seed: int = 0) -> SwayNetwork:
     """The network with its layers rounded. Raises ValueError for a rig that everyday poses are not of."""
-    network = _module(sway)
-    squares: dict[str, torch.Tensor] = {}
-
-    def take(name: str, x: torch.Tensor) -> None:
-        x = x.detach().flatten(0, -2).double()
-        squares[name] = x.T @ x / len(x)
-
-    for name in ROUNDINGS:
-        getattr(network, name).register_forward_hook(lambda _, inputs, __, name=name: take(name, inputs[0]))
+    network = SwayModule.of(sway)
+    squares = InputSquares({name: getattr(network, name) for name in ROUNDINGS})
     motions = MotionPool(rig).drawn(range(WALKERS), round(SECONDS * RATE_HZ), seed=seed)
     parts = (torch.as_tensor(part) for part in (motions.positions, motions.place, motions.turn, motions.gravity))
     drive, pose = Features(rig, sway.joints, torch.device("cpu"))(*parts, 1 / RATE_HZ)
@@ -47,20 +39,6 @@ def rounded_sway(sway: SwayNetwork, rig: Rig, *, seed: int = 0) -> SwayNetwork:
     rounded = {}
     for name, rounding in ROUNDINGS.items():
         weight, bias = getattr(sway, name)
-        rounded[name] = (compensated_rounding(weight, squares[name].numpy(), rounding), bias)
+        rounded[name] = (compensated_rounding(weight, squares.means()[name], rounding), bias)
     directions = compensated_rounding(sway.code_directions, np.eye(sway.code_directions.shape[1]), DIRECTIONS)
     return replace(sway, **rounded, code_directions=directions)
-
-
-def _module(sway: SwayNetwork) -> SwayModule:
-    """The network in torch."""
-    network = SwayModule(len(sway.joints), len(sway.code_directions), len(sway.out[1])).eval()
-    state = {"log_rates": np.log(sway.rates), "turns": sway.turns}
-    for entry in fields(sway):
-        part = getattr(network, entry.name, None)
-        if isinstance(part, nn.Linear):
-            value = getattr(sway, entry.name)
-            weight, *bias = value if isinstance(value, tuple) else (value,)
-            state |= {f"{entry.name}.weight": weight} | {f"{entry.name}.bias": each for each in bias}
-    network.load_state_dict({name: torch.as_tensor(np.array(array)) for name, array in state.items()})
-    return network

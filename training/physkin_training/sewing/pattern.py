@@ -25,9 +25,9 @@ __all__ = ["Edge", "Panel", "Pattern", "PatternError", "load_pattern"]
 
 LARGEST_PATTERN = 1 << 22  # [bytes]
 LARGEST_GATHER = 3.0
-"""How many times as long as the other one an edge may be that is sewn to it."""
+"""An edge may be at most so many times as long as the one it is sewn to."""
 EXTENT = 0.15, 4.0
-"""Width or height [m] of all panels together, from the smallest garment to the largest; others are in other units."""
+"""Width or height [m] of all panels together, from the smallest garment to the largest. Others are in another unit."""
 SHORTEST_EDGE = 1e-3  # [m]
 CURVE_SAMPLES = 200
 
@@ -224,7 +224,7 @@ def _curve(start: np.ndarray, end: np.ndarray, bend: _Bend | None, metres: float
 
 
 def _arc(start: np.ndarray, end: np.ndarray, radius: float, large: bool, right: bool, share: np.ndarray) -> np.ndarray:
-    """Of the circle through start and end that bulges to the right of the way from one to the other, or to the left."""
+    """(CURVE_SAMPLES + 1, 2) [m] along a circle from start to end, with the arc right or left of the chord."""
     chord = end - start
     half = np.linalg.norm(chord) / 2
     if radius < half * (1 - 1e-4):
@@ -256,12 +256,12 @@ def _check_outline(panel: Panel) -> None:
     samples = 24
     loop = np.concatenate([edge.points(samples)[:-1] for edge in panel.edges])
     owner = np.repeat(np.arange(len(panel.edges)), samples)
-    start, way = loop, np.roll(loop, -1, axis=0) - loop
-    across = way[:, None, 0] * way[None, :, 1] - way[:, None, 1] * way[None, :, 0]
-    gap = start[None] - start[:, None]
+    step = np.roll(loop, -1, axis=0) - loop
+    across = step[:, None, 0] * step[None, :, 1] - step[:, None, 1] * step[None, :, 0]
+    gap = loop[None] - loop[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        mine = (gap[..., 0] * way[None, :, 1] - gap[..., 1] * way[None, :, 0]) / across
-        others = (gap[..., 0] * way[:, None, 1] - gap[..., 1] * way[:, None, 0]) / across
+        mine = (gap[..., 0] * step[None, :, 1] - gap[..., 1] * step[None, :, 0]) / across
+        others = (gap[..., 0] * step[:, None, 1] - gap[..., 1] * step[:, None, 0]) / across
     inside = (mine > 1e-6) & (mine < 1 - 1e-6) & (others > 1e-6) & (others < 1 - 1e-6)
     crossing = np.argwhere(np.triu(inside, 2))
     if len(crossing):

@@ -1,8 +1,8 @@
-"""Sew a cut about a body: seams close around a paper doll of it, the doll grows to the body's own shape, cloth hangs.
+"""Sew a cut around a body: seams close around a paper doll of it, the doll grows to the body's shape, and cloth hangs.
 
-The doll is the body drawn in to its bones and pressed flat, with the panels in front of it and behind. About the body
-itself, seams get caught on shoulders and hips, and close in front of an arm. Every step minimises an incremental
-potential from rest, so that nothing swings.
+The doll is the body shrunk towards its bones and pressed flat, with panels in front of it and behind it. Around the
+body itself, seams would get caught on shoulders and hips, or close in front of an arm. Every step minimises an
+incremental potential from rest, so that nothing swings.
 
 Dimensions: `t` vertices of a cut, `n` of the sewn garment, `V` of the body. Metres, root frame, canonical pose.
 """
@@ -42,22 +42,23 @@ __all__ = ["sewn"]
 Watch = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 
 THIN, FLAT = 0.4, 0.1
-"""The paper doll: of the way from the bones to the skin, and of the bones' distance before or behind the root."""
+"""What is left in the paper doll of the distance from the bones to the skin, and of the bones' distance in front of or
+behind the root."""
 ARMS_RAISED = np.radians(30.0)
-"""By how much arms are raised while sleeves are sewn to the body, which turn upwards then, as stiff as card."""
+"""By how much arms are raised while sleeves are sewn to the body: as stiff as cardboard, they turn upwards then."""
 NEAR = 0.3
-"""Of the distance of panels before or behind the root, when they begin to be sewn."""
+"""Share of the panels' distance in front of or behind the root that is left when sewing begins."""
 LIFT, LIFT_STEP = 0.12, 0.01
-"""[m] that panels are lifted by at most, for shoulders that are higher than those the pattern was made for."""
+"""[m] How far panels are lifted at most, for shoulders higher than those of the pattern's body, and in what steps."""
 CLEARANCE = 0.03
-"""[m] that panels could hang lower without a seam that closes through the doll."""
+"""[m] How much lower panels could hang without a seam that closes through the doll."""
 CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
-"""Steps while seams close within sleeves, within the body and within legs, and as many between them; while they settle,
-the doll grows to the body's own shape, the cloth becomes soft and arms go down, and it hangs sewn. Closed all at once,
-sleeves leave the arms."""
+"""Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
+between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
+cloth becomes soft while arms go down, and the sewn garment hangs."""
 HIGHEST = 0.05
-"""Of the panel that stays at its height, seams up to so far [m] below its highest one do while seams close: nothing
-pulls a bodice off the shoulders."""
+"""While seams close, the panel that stays at its height is held by its seams up to this far [m] below the highest, so
+that nothing pulls a bodice off the shoulders."""
 STEP, CARDBOARD_STEP = 0.05, 0.5
 """[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it."""
 CARDBOARD = 300.0
@@ -121,14 +122,14 @@ def _sewn_together(cut: Cut) -> np.ndarray:
 
 
 def paper_doll(avatar: Avatar, rig: Rig) -> np.ndarray:
-    """Vertices (V, 3) [m] of the body drawn in to its bones and pressed flat; hands, feet and head are drawn in to the
-    joints that they begin at, for they are not in line with a sleeve."""
+    """Vertices (V, 3) [m] of the body shrunk towards its bones and pressed flat. Hands, feet and head shrink to the
+    joints where they begin, because they are not in line with a sleeve."""
     last = ~np.isin(np.arange(rig.bone_count), rig.parents)
     ends = np.where(last[:, None], avatar.bone_heads, avatar.bone_tails)
     heads = avatar.bone_heads[avatar.influence_bones]
-    ways = ends[avatar.influence_bones] - heads
-    along = ((avatar.vertices[:, None] - heads) * ways).sum(axis=2) / np.maximum((ways * ways).sum(axis=2), 1e-12)
-    nearest = heads + np.clip(along, 0, 1)[..., None] * ways
+    bones = ends[avatar.influence_bones] - heads
+    along = ((avatar.vertices[:, None] - heads) * bones).sum(axis=2) / np.maximum((bones * bones).sum(axis=2), 1e-12)
+    nearest = heads + np.clip(along, 0, 1)[..., None] * bones
     on_bones = (avatar.influence_weights[..., None] * nearest).sum(axis=1)
     drawn_in = np.where(last[avatar.influence_bones], 0.1 * THIN, THIN) * avatar.influence_weights
     thin = drawn_in.sum(axis=1, keepdims=True)
@@ -155,9 +156,9 @@ class Arms:
 
 
 def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
-    """Where the vertices (t, 3) [m] of a cut begin: about the doll, every panel as near to it as it is flat and against
-    those it is sewn to, lifted so that no seam, and none up to CLEARANCE lower, closes through it, or as few as can
-    be."""
+    """Where the vertices (t, 3) [m] of a cut begin: every panel close to the flat doll and at the height of those that
+    it is sewn to. All are lifted so that as few seams as possible close through the doll, here and up to CLEARANCE
+    lower."""
     hung = cut.hung + [0.0, 0.0, avatar.vertices[:, 2].min()]
     panel_of = cut.panel_of
     hung[:, 0] -= (1 - NEAR) * (np.bincount(panel_of, hung[:, 0]) / np.bincount(panel_of))[panel_of]
@@ -171,14 +172,14 @@ def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
 
 def _staying(cut: Cut) -> int:
     """The panel that stays at its height, so that a skirt comes up to its bodice and a hood down to it: the largest one
-    that is for the body, or the largest one of all."""
+    for the body, or the largest of all."""
     areas = np.bincount(cut.panel, flat_areas(cut.places[cut.faces]))
     on_body = np.array(cut.labels) == "body"
     return int((areas * (on_body if on_body.any() else 1.0)).argmax())
 
 
 def _against_each_other(heights: np.ndarray, cut: Cut) -> np.ndarray:
-    """How far (p,) [m] to move each panel up so that seams have as little of the heights (t,) to close as can be."""
+    """How far (p,) [m] to move each panel up so that the ends of seams are at heights (t,) as equal as possible."""
     panels, rows = cut.panel_of[cut.seams], np.arange(len(cut.seams))
     between = np.zeros((len(rows) + 1, len(cut.names)))
     between[rows, panels[:, 0]] += 1.0
@@ -191,11 +192,11 @@ def _against_each_other(heights: np.ndarray, cut: Cut) -> np.ndarray:
 def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> int:
     """How many of the seams' pairs close through the body."""
     ends = hung[seams]
-    ways = ends[:, 1] - ends[:, 0]
-    length = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+    apart = ends[:, 1] - ends[:, 0]
+    length = np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
     through = np.zeros(len(seams), bool)
-    for start, way in ((ends[:, 0], ways / length), (ends[:, 1], -ways / length)):  # seen from outside alone
-        face, at = body.facing(start, way, float(length.max()))
+    for start, direction in ((ends[:, 0], apart / length), (ends[:, 1], -apart / length)):  # faces are met from outside
+        face, at = body.facing(start, direction, float(length.max()))
         hit = np.einsum("sc,scx->sx", at, body.vertices[body.faces[face]])
         through |= (face >= 0) & (np.linalg.norm(hit - start, axis=1) < length[:, 0])
     return int(through.sum())
@@ -249,7 +250,7 @@ def _joined(cut: Cut, closed: np.ndarray, vertex: np.ndarray) -> Garment:
 
 
 def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
-    """Sewn, of vertices (n, 3) and faces (f, 3), where few of these are squashed with those pulled open."""
+    """The garment of vertices (n, 3) and faces (f, 3). Where few faces are squashed, they are pulled open."""
     panels = cut.places, cut.faces
     vertices = opened(vertices, faces, *panels)
     try:
@@ -286,11 +287,11 @@ class _Cloth:
         self._down, self._here = _vectors(UPRIGHT_GRAVITY, device)[None], _vectors(start, device)[None]
 
     def bend_stiffer(self, times: float) -> None:
-        """So many times as stiffly as its material does."""
+        """Let cloth bend so many times as stiffly as its material does."""
         self._potential.bend.stiffer.fill_(times)
 
     def meets(self, shape: np.ndarray) -> np.ndarray:
-        """The body has vertices (V, 3) [m] from now on; these."""
+        """From now on the body has these vertices (V, 3) [m]; they are returned."""
         points = wp.to_torch(self._body.points)
         points.copy_(_vectors(shape, points.device))
         self._body.refit()

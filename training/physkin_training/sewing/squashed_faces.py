@@ -13,11 +13,11 @@ from physkin_core.model.rest_shape import flat_areas
 __all__ = ["opened", "squashed"]
 
 SQUASHED = 2.5
-"""Times by which the areas of a face and its panel's differ, from which on it is pulled open; up to 3 may be left."""
+"""A face is pulled open if its area and that on its panel differ by this factor or more. A garment may have up to 3."""
 MOST_SQUASHED = 0.005
-"""Share of the faces; more are no fold."""
+"""Share of the faces. If more are squashed, it is not a fold."""
 ROUNDS = 100
-"""Of drawing edges to their length."""
+"""How often edges are drawn to their length."""
 
 
 def squashed(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, panel_faces: np.ndarray) -> np.ndarray:
@@ -27,8 +27,8 @@ def squashed(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, panel_
 
 
 def opened(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, panel_faces: np.ndarray) -> np.ndarray:
-    """Vertices (n, 3) in which squashed faces, and their neighbours, have edges about as long as on the flat cloth; the
-    body is not heeded. The same vertices where no face is squashed, or more than `MOST_SQUASHED` are."""
+    """Vertices (n, 3) with which squashed faces and their neighbours have edges about as long as on the flat cloth,
+    whatever the body. They stay the same if no face is squashed, or more than `MOST_SQUASHED` are."""
     bad = squashed(vertices, faces, places, panel_faces)
     if not bad.any() or bad.mean() > MOST_SQUASHED:
         return vertices
@@ -40,8 +40,8 @@ def opened(vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, panel_fa
     lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).reshape(-1, 1)
     count, found = np.bincount(ends.ravel(), minlength=len(vertices))[moved, None], vertices.copy()
     for _ in range(ROUNDS):
-        ways = found[ends[:, 1]] - found[ends[:, 0]]
-        half = (1 - lengths / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)) * ways / 2
+        edges = found[ends[:, 1]] - found[ends[:, 0]]
+        half = (1 - lengths / np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), 1e-9)) * edges / 2
         pull = np.zeros_like(found)
         np.add.at(pull, ends[:, 0], half)
         np.add.at(pull, ends[:, 1], -half)

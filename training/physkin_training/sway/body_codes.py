@@ -1,4 +1,4 @@
-"""Body codes: what a sway network is told of a body, a few directions of its modulation.
+"""Body codes: the few numbers by which a sway network knows a body, taken from the modulation of the pose modulator.
 
 Dimensions: `S` bodies, `M` modulation of the pose modulator, `c` code.
 """
@@ -24,14 +24,14 @@ SIZE = 12
 
 @dataclass(frozen=True)
 class BodyCodes:
-    """mean (M,) float32 of modulations; directions (c, M) float32, along which they are 1 on average."""
+    """mean (M,) float32 of modulations; directions (c, M) float32, by which codes have a standard deviation of 1."""
 
     mean: np.ndarray
     directions: np.ndarray
 
     @classmethod
     def of(cls, model: GarmentModel, body_model: BodyModel, device: torch.device) -> BodyCodes:
-        """Learnt from bodies of training, in the template and made to measure."""
+        """Computed from training bodies, in the template and in garments made to measure."""
         drape = drape_from_model(model).to(device).eval()
         chosen = np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]
         surfaces = BodySet(body_model, body_model.train_bodies[chosen], device).vertices.cpu().numpy()

@@ -1,10 +1,11 @@
 """Fine-tuning of a learnt sway network by the energies of cloth.
 
-A network that is near what was simulated on average still strains cloth: what it cannot tell it blurs. So a frame of
-some windows is draped, and it is learnt, too, how far cloth is from balance there: what stretch, bending, contact, the
-band and weight say against the inertia and drag that were simulated. At rest alone they would take all swing for
-strain; in balance they still take some, so how far cloth swings counts more here. From here on the network gives
-offsets themselves, beyond the shapes, and errors count by distance alone: what they cost is known better here.
+A network that is right on average still strains cloth: where it cannot know what cloth does, it averages over it.
+So in every step a frame of some windows is draped, and the network also learns to bring cloth into balance there:
+forces of stretch, bending, contact, the band and weight against the simulated forces of inertia and drag. Without
+those two, all swing would count as strain. With them some swing is still lost, so the swing of cloth counts more here
+than in learning. From here on the network gives offsets of garment nodes instead of coefficients of shapes. Errors
+count by distance alone, because the energies know better what an error costs.
 
 Dimensions: `B` bodies, `a = 12 m` numbers of garment nodes, `h` what the last layer reads.
 """
@@ -16,40 +17,42 @@ from torch import nn
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.progress import progress_line
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.soap import Soap
-from physkin_training.sway.learning import SWINGING, drawn_from, learning_rate, missed_swing
+from physkin_training.sway.learning import SWINGING, descend, drawn_from, learning_rates, missed_swing
 from physkin_training.sway.modules import Features, SwayModule
 from physkin_training.sway.node_skinning import NodeSkinning
 from physkin_training.sway.walker_simulation import SLOWLY, in_one_size, potential_of_walkers
 from physkin_training.sway.walkers import KEPT_EVERY, Walkers
-from physkin_training.sway.window_descent import WindowDescent
 from physkin_training.sway.windows import Window, Windows
 
 __all__ = ["OffsetLayer", "tuned_network"]
 
 ENERGY, GROWS_FOR = 0.1, 0.5
-"""How much energies count, in shares of that of cloth that swings as far as it is from where it is on average, against
-squared distances, in shares of that; and the share of the steps in which it grows to that: strain is taken out little
-by little, as less swing would be the quickest way."""
+"""Weight of the energies in the loss, and the share of the steps over which it grows from zero to that. It grows
+slowly, because the quickest way to less strain would be less swing. In the loss, energies are divided by the energy of
+cloth that swings as far as it does on average, and squared distances by the mean square of that distance."""
 COMPRESSED = 0.05
-"""Share of the stiffness of cloth that is left under compression: more than of walkers, as here it would crumple."""
+"""Share of the stiffness of cloth that is left under compression. It is more than walkers have: with less, cloth would
+crumple here."""
 SWING = 10.0
-"""How much it counts how far the first shapes swing: energies would rather have them still."""
+"""Weight in the loss of how far the first shapes swing, which energies would make less."""
 WINDOWS, DRAPED = 3, 1
-"""Windows a body in a step, and of how many a frame is draped; these are not blurred, as cloth fits the body."""
+"""Windows of each body in a step, and in how many of them a frame is draped. Those are not blurred, so that cloth fits
+the body."""
 LEARNING_RATE, LAST_SHARE, WARM_UP_STEPS = 1e-3, 0.02, 100
 LAST_LAYER = 0.05
-"""How much slower the last layer learns."""
+"""Factor by which the last layer learns more slowly."""
 LARGEST_FORCE = 15.0
-"""Of a sample, against the median of all."""
+"""Largest norm of a sample's forces, in medians over all samples."""
 
 
 class OffsetLayer(nn.Module):
-    """The network's last layer, to offsets (..., a), learnt in coordinates in which what a difference costs is round.
+    """The network's last layer, to offsets (..., a). It learns in coordinates in which a change costs as much energy in
+    every direction.
 
-    Begins as what `out` makes of the walkers' shapes, of which each garment node has its share.
+    At first it gives the offsets that `out` gives as coefficients of the walkers' shapes, times each garment node's
+    share of the sway.
     """
 
     def __init__(self, out: nn.Linear, walkers: Walkers) -> None:
@@ -68,16 +71,16 @@ class OffsetLayer(nn.Module):
             self.round.bias.copy_(shapes.offsets(out.bias) @ to_round)
 
     def forward(self, hidden: torch.Tensor) -> torch.Tensor:
-        """Offsets (..., a) of what the layer reads (..., h)."""
+        """Offsets (..., a) from what the layer reads (..., h)."""
         return self.round(hidden) @ self._from_round
 
     def coefficients(self, hidden: torch.Tensor) -> torch.Tensor:
-        """The same in shapes (..., r), by a small product."""
+        """Coefficients (..., r) of the walkers' shapes, without computing the offsets."""
         weight, bias = self.round.weight.T @ self._projection, self.round.bias @ self._projection - self._mean
         return hidden @ weight + bias
 
     def folded(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Weight (a, h) and bias (a,) of the plain layer that gives the same."""
+        """Weight (a, h) and bias (a,) of the plain linear layer that gives the same offsets."""
         return self._from_round.T @ self.round.weight, self.round.bias @ self._from_round
 
 
@@ -92,7 +95,7 @@ def tuned_network(
     *,
     steps: int,
 ) -> OffsetLayer:
-    """Tune a network in place, and its last layer, which is returned, for so many steps with the walkers `learnt`."""
+    """Tune a network in place for so many steps with the walkers `learnt`. Returns its last layer."""
     last = OffsetLayer(network.out, walkers)
     own = [parameter for name, parameter in network.named_parameters() if not name.startswith("out")]
     optimiser = Soap([*own, *last.parameters()], [], walkers.positions.device)
@@ -118,15 +121,13 @@ def tuned_network(
         energy = (window.share[draped, frame, None] * offsets * forces).sum() / len(forces)
         return (error + SWING * swing_error) / spread + energy_share * energy / swing
 
-    descent = WindowDescent(windows, optimiser, loss, windows_a_step=count)
-    watch = progress_line("fine-tuning")
+    def draw(step: int) -> torch.Tensor:
+        energy_share.fill_(ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)))
+        return torch.cat([rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body])
+
+    rates = learning_rates(LEARNING_RATE, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
     with drawn_from(generator, device):
-        for step in range(steps):
-            energy_share.fill_(ENERGY * min(1.0, (step + 1) / (GROWS_FOR * steps)))
-            drawn = [rows[torch.randint(len(rows), (WINDOWS,), generator=generator)] for rows in of_body]
-            rate = LEARNING_RATE * learning_rate(step, steps, warm_up=WARM_UP_STEPS, last=LAST_SHARE)
-            descent.step(torch.cat(drawn), rate)
-            watch((step + 1) / steps)
+        descend(windows, optimiser, loss, draw, rates, windows_a_step=count, doing="fine-tuning")
     return last
 
 
@@ -144,8 +145,8 @@ class _Cloth:
 
     @torch.no_grad()
     def forces(self, offsets: torch.Tensor, walker: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
-        """Forces (B, a) [N] out of balance at offsets (B, a) of these walkers' frames (B,), of those that have
-        a target: derivatives of the energies, and the resistance of inertia and drag."""
+        """Forces (B, a) [N] that are out of balance at offsets (B, a): derivatives of the energies plus the resistance
+        of inertia and drag. walker, frame: (B,), the frames counted among those that have a target."""
         known, dressed, at = self._walkers, self._dressed, KEPT_EVERY * frame
         positions, gravity = known.positions[walker, at], known.gravity[walker, at]
         posed = dressed.pose(positions)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from physkin_core.avatar.body_model import load_body_model
@@ -20,50 +18,50 @@ from physkin_core.output_file import check_folder, check_other_file
 from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.sway.body_codes import BodyCodes
 from physkin_training.sway.cloth_tuning import OffsetLayer, tuned_network
-from physkin_training.sway.export import exported
 from physkin_training.sway.fading import sway_share
 from physkin_training.sway.learning import held_out_millimetres, learnt_network, split
 from physkin_training.sway.modules import Features, swaying_joints
 from physkin_training.sway.walkers import simulated_walkers
-from physkin_training.sway.walkers_file import load_walkers, save_walkers
 
 __all__ = ["LearntSway", "SwayPlan", "command_parser", "learn_sway", "main"]
 
-SHORTEST = 0.5
-"""[s] of a motion."""
+PLAN = {
+    "bodies": (1, "bodies to simulate walkers on"),
+    "walkers": (2, "walkers on each body"),
+    "seconds": (0.5, "length of each motion"),
+    "steps": (1, "training steps"),
+    "tuning_steps": (0, "steps of fine-tuning by the energies of cloth"),
+    "seed": (0, "seed of bodies, motions and training"),
+}
+"""Smallest value allowed of each number of a `SwayPlan`, and what its option says. Of two walkers one is held out."""
 
 
 @dataclass(frozen=True)
 class SwayPlan:
     """How much is simulated, and for how long it is learnt.
 
-    bodies: of training; walkers on each of them at once; rounds of all of these, motions of so many seconds.
-    steps of learning, and of fine-tuning.
-    Raises ValueError for a number that cannot be.
+    bodies: how many of the training bodies; walkers: on each of them, with motions of so many seconds. steps,
+    tuning_steps: of learning, and of fine-tuning after it. Raises ValueError for a number below those of `PLAN`.
     """
 
     bodies: int = 128
-    walkers: int = 5
-    rounds: int = 4
+    walkers: int = 20
     seconds: float = 5.0
     steps: int = 28000
     tuning_steps: int = 9000
     seed: int = 0
 
     def __post_init__(self) -> None:
-        least = {"bodies": 1, "walkers": 1, "rounds": 1, "seconds": SHORTEST, "steps": 1, "tuning_steps": 0, "seed": 0}
-        for name, allowed in least.items():
+        for name, (least, _) in PLAN.items():
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= allowed):
-                raise ValueError(f"--{name.replace('_', '-')} must be at least {allowed:g}, got {value}")
-        if self.bodies * self.walkers * self.rounds == self.bodies:
-            raise ValueError("one walker a body is too few: some are held out; raise --walkers or --rounds")
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least:g}, got {value}")
 
 
 @dataclass(frozen=True)
 class LearntSway:
-    """A sway network. missed: [mm] how far cloth of walkers that were held out is from it. without: and from cloth that
-    stays where all walkers' cloth is on average, and does not swing."""
+    """A sway network. missed: how far [mm] it is from the cloth of walkers that were held out. without: how far from it
+    cloth would be that does not swing, but stays at the average of all walkers."""
 
     network: SwayNetwork
     missed: float
@@ -72,33 +70,13 @@ class LearntSway:
 
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin learn-sway`."""
-    plan = SwayPlan()
     parser = argparse.ArgumentParser(prog="physkin learn-sway", description=__doc__.split("`: ", 1)[1])
     parser.add_argument("garment", help="garment model file, or the name of a shipped one")
-    parser.add_argument(
-        "--bodies", type=int, default=plan.bodies, help="bodies to simulate walkers on (default %(default)s)"
-    )
-    parser.add_argument("--walkers", type=int, default=plan.walkers, help="walkers on each body (default %(default)s)")
-    parser.add_argument("--rounds", type=int, default=plan.rounds, help="motions of each walker (default %(default)s)")
-    parser.add_argument(
-        "--seconds", type=float, default=plan.seconds, help="length of each motion (default %(default)s)"
-    )
-    parser.add_argument("--steps", type=int, default=plan.steps, help="training steps (default %(default)s)")
-    parser.add_argument(
-        "--tuning-steps",
-        type=int,
-        default=plan.tuning_steps,
-        metavar="STEPS",
-        help="steps of fine-tuning by the energies of cloth (default %(default)s)",
-    )
-    parser.add_argument("--seed", type=int, default=plan.seed, help="seed of bodies, motions and training (default 0)")
+    for entry in fields(SwayPlan):
+        option, (_, says) = f"--{entry.name.replace('_', '-')}", PLAN[entry.name]
+        says = f"{says} (default %(default)s)"
+        parser.add_argument(option, type=type(entry.default), default=entry.default, metavar="NUMBER", help=says)
     parser.add_argument("--device", default=DEFAULT_DEVICE, help=DEVICE_HELP)
-    parser.add_argument(
-        "--walkers-file",
-        type=Path,
-        metavar="FILE",
-        help="keep the simulated walkers in this file (.safetensors), or take them from it if it exists",
-    )
     parser.add_argument("-o", "--output", type=Path, required=True, help="garment model file to write")
     return parser
 
@@ -106,18 +84,15 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Command line. Returns 0; raises ValueError or OSError for bad input."""
     options = vars(command_parser().parse_args(argv))
-    garment, output, device, file = (options.pop(name) for name in ("garment", "output", "device", "walkers_file"))
+    garment, output, device = (options.pop(name) for name in ("garment", "output", "device"))
     plan = SwayPlan(**options)
-    for written in filter(None, (output, file)):
-        check_folder(written)
-    check_other_file(output, garment, *filter(None, [file]))
-    if file is not None and file.resolve() == output.resolve():
-        raise ValueError(f"cannot write {output}: --walkers-file has the same name; give another")
+    check_folder(output)
+    check_other_file(output, garment)
     model = load_garment_model(garment)
     device = resolve_device(device)
     if device.type == "cpu":
         torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
-    learnt = learn_sway(model, plan, device, walkers_file=file, say=print)
+    learnt = learn_sway(model, plan, device, say=print)
     save_garment_model(replace(model, sway=learnt.network), output)
     print(f"wrote {output}: {output.stat().st_size / 1e6:.2f} MB")
     return 0
@@ -128,15 +103,14 @@ def learn_sway(
     plan: SwayPlan,
     device: torch.device,
     *,
-    walkers_file: Path | None = None,
     within: float = math.inf,
     say: Callable[[str], None],
 ) -> LearntSway:
-    """A sway network for a model, which may have one already. walkers_file: simulated walkers are read from there, or
-    written to it. within: [s] that simulating may take. say: told how it goes.
+    """A sway network for a model, which may have one already. within: [s] that simulating may take. say: called with
+    sentences on how it goes.
 
-    Raises ValueError for cloth that lies where none sways, for a rig that everyday poses are not of, and as
-    `SwayPlan`, `simulated_walkers` and `load_walkers`.
+    Raises ValueError for cloth that lies where none sways, for another rig than that of everyday poses, and as
+    `SwayPlan` and `simulated_walkers` do.
     """
     share = sway_share(model)
     if not share.any():
@@ -146,23 +120,15 @@ def learn_sway(
         raise ValueError(f"--bodies must be at most {len(body_model.train_bodies)}, got {plan.bodies}")
     joints = swaying_joints(model, share > 0)
     codes = BodyCodes.of(model, body_model, device)
-    described = _described(model, plan)
-    if walkers_file is not None and walkers_file.exists():
-        walkers = load_walkers(described, walkers_file, device)
-        say(f"walkers of {walkers_file}: {len(walkers.body)}")
-    else:
-        walkers = simulated_walkers(
-            *(model, body_model, codes, share, device),
-            bodies=plan.bodies,
-            each=plan.walkers,
-            rounds=plan.rounds,
-            seconds=plan.seconds,
-            seed=plan.seed,
-            within=within,
-            say=say,
-        )
-        if walkers_file is not None:
-            save_walkers(walkers, described, walkers_file)
+    walkers = simulated_walkers(
+        *(model, body_model, codes, share, device),
+        bodies=plan.bodies,
+        each=plan.walkers,
+        seconds=plan.seconds,
+        seed=plan.seed,
+        within=within,
+        say=say,
+    )
     features, generator = Features(model.rig, joints, device), torch.Generator().manual_seed(plan.seed)
     learnt, held_out = split(walkers, generator)
     network = learnt_network(walkers, features, learnt, generator, joints=len(joints), steps=plan.steps)
@@ -178,11 +144,4 @@ def learn_sway(
         say(f"fine-tuned: {missed:.1f} mm from what walkers that were held out did")
     else:
         last = OffsetLayer(network.out, walkers)
-    return LearntSway(exported(network, last.folded(), joints, codes), missed, without)
-
-
-def _described(model: GarmentModel, plan: SwayPlan) -> dict[str, object]:
-    """What simulated walkers depend on, as plain data."""
-    networks = hashlib.sha256(b"".join(np.ascontiguousarray(array) for layer in model.node_deformer for array in layer))
-    simulated = ("bodies", "walkers", "rounds", "seconds", "seed")
-    return {"garment": model.name, "networks": networks.hexdigest()} | {name: getattr(plan, name) for name in simulated}
+    return LearntSway(network.exported(last.folded(), joints, codes), missed, without)

@@ -1,7 +1,7 @@
-"""How much of what it learnt each garment node sways: hems and hoods do, cloth that lies on chest and arms does not.
+"""How much of the learnt sway each garment node shows: all of it at hems and hoods, none on chest and arms.
 
-Over chest, shoulders and arms cloth has hardly any way to swing, and what a network cannot foretell there shows as skin
-that comes through.
+Over chest, shoulders and arms cloth has hardly any room to swing, and where a network is wrong there, skin comes
+through.
 
 Dimensions: `m` garment nodes. Metres, canonical pose.
 """
@@ -16,7 +16,7 @@ from physkin_core.model.garment_model import GarmentModel
 __all__ = ["sway_share"]
 
 FADES_FROM, GONE_FROM = 0.05, 0.3
-"""[m] above the root: lower on the trunk all sway is left, higher none."""
+"""[m] above the root. Cloth on the trunk sways in full below the first height, and not at all above the second."""
 
 
 def sway_share(model: GarmentModel) -> np.ndarray:

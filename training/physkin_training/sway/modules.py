@@ -12,10 +12,11 @@ import torch
 from torch import nn
 
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.model.sway_network import drive_size, pose_size
+from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
 from physkin_core.native_module import native
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.around_legs import of_legs, reaches_knees
+from physkin_training.sway.body_codes import BodyCodes
 
 __all__ = ["HIDDEN", "Features", "SwayModule", "swaying_joints"]
 
@@ -35,6 +36,10 @@ GATE = -1.0
 """Bias of gates at first: they let oscillators run slower than they could, but not at their slowest."""
 LOWEST_HZ, HIGHEST_HZ, STILL = 0.3, 4.0, 0.25
 """How often they oscillate at first; a quarter of them does not."""
+
+HIDDEN_LAYERS, CODE_LAYERS = ("first", "drive", "gate", "read", "last"), ("first_code", "read_code")
+"""Layers with a bias but for the last one, `out`, and those that read the body code; `SwayNetwork` has the same names.
+"""
 
 
 def swaying_joints(model: GarmentModel, free: np.ndarray) -> np.ndarray:
@@ -97,6 +102,41 @@ class SwayModule(nn.Module):
         nn.init.zeros_(self.gate.weight)
         nn.init.constant_(self.gate.bias, GATE)
         nn.init.normal_(self.out.weight, std=0.3 / math.sqrt(LAST))
+
+    @classmethod
+    def of(cls, sway: SwayNetwork) -> SwayModule:
+        """A model's network in torch. Its outputs are in the order of the file, see `exported`."""
+        network = cls(len(sway.joints), len(sway.code_directions), len(sway.out[1])).eval()
+        state = {"log_rates": np.log(sway.rates), "turns": sway.turns}
+        for name in (*HIDDEN_LAYERS, "out"):
+            state[f"{name}.weight"], state[f"{name}.bias"] = getattr(sway, name)
+        state |= {f"{name}.weight": getattr(sway, name) for name in CODE_LAYERS}
+        network.load_state_dict({name: torch.as_tensor(np.array(array)) for name, array in state.items()})
+        return network
+
+    def exported(self, out: tuple[torch.Tensor, torch.Tensor], joints: np.ndarray, codes: BodyCodes) -> SwayNetwork:
+        """The network as part of a garment model.
+
+        out: weight (12 m, h) and bias (12 m,) of the last layer, to offsets of garment nodes (m, 3, 4). In the file the
+        nine numbers of each rotation come first and then the translation. joints: (j,) int32, what the network reads.
+        """
+        entry = torch.arange(len(out[1]), device=out[1].device).view(-1, 3, 4)
+        in_file = torch.cat([entry[..., :3].flatten(1), entry[..., 3]], dim=1).flatten()  # (m, 9 + 3)
+
+        def numpy(tensor: torch.Tensor) -> np.ndarray:
+            return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
+
+        state = {name: numpy(tensor) for name, tensor in self.state_dict().items()}
+        return SwayNetwork(
+            joints=joints,
+            **{name: (state[f"{name}.weight"], state[f"{name}.bias"]) for name in HIDDEN_LAYERS},
+            **{name: state[f"{name}.weight"] for name in CODE_LAYERS},
+            rates=numpy(self.rates),
+            turns=state["turns"],
+            out=tuple(numpy(part[in_file]) for part in out),
+            code_mean=codes.mean,
+            code_directions=codes.directions,
+        )
 
     @property
     def rates(self) -> torch.Tensor:

@@ -1,8 +1,8 @@
 """Motions of walkers that cloth is simulated on, each drawn by its own seed, at 60 Hz.
 
-A third are shipped clips, with other bearing, along curves; a fifth smooth ways through everyday poses; some sit down
-and get up again; the others hold a pose, many of them just stand, while the root swings, stops or turns. Most are at
-changing speed. In a third the wind blows, in gusts. Half of all are mirrored.
+A third are shipped clips, some with another bearing or along curves. A fifth go smoothly from one everyday pose to the
+next. Some sit down and get up again. The others hold a pose, many of them just stand, while the root swings, stops or
+turns. Most change their speed. In a third of all motions the wind blows, in gusts. Half of all are mirrored.
 
 Dimensions: `B` walkers, `T` frames, `d` degrees of freedom. Radians, metres, seconds; world and root frame have Z up.
 """
@@ -35,7 +35,7 @@ FROM_CLIPS, THROUGH_POSES, SITTING = 0.34, 0.19, 0.07
 AT_REST, NEARLY = 0.5, 0.2
 """Shares of held poses that are the rest pose, and that are near it: there a skirt swings free of what legs do."""
 STEADY = 0.4
-"""Share of the motions at an even speed, so that a swing to and fro lasts."""
+"""Share of the motions at an even speed, in which a swing to and fro keeps its rhythm."""
 LOWEST_SEAT, HIGHEST_SEAT = 0.42, 0.28
 """[m] by how much hips are lower on a seat."""
 POSES = 8192
@@ -44,6 +44,9 @@ BRAKES = 0.6
 """[s] in which a clip that ends comes to a stop."""
 WINDY, LIGHTEST, STRONGEST = 0.33, 0.5, 6.0
 """Share of the motions in wind, and how strong gusts are [m/s]."""
+
+Moved = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Joint positions (T, d), place (T, 3) and turn (T, 3, 3) of the root."""
 
 
 @dataclass(frozen=True)
@@ -85,19 +88,20 @@ class MotionPool:
         own_time = _own_time(rng, frames)
         kind = rng.random()
         if kind < FROM_CLIPS:
-            positions, place, turn = self._from_clip(rng, own_time)
+            make = self._from_clip
         elif kind < FROM_CLIPS + THROUGH_POSES:
-            positions, place, turn = self._through_poses(rng, own_time)
+            make = self._through_poses
         elif kind < FROM_CLIPS + THROUGH_POSES + SITTING:
-            positions, place, turn = self._sits_down(rng, own_time)
+            make = self._sits_down
         else:
-            positions, place, turn = self._held_pose(rng, own_time)
+            make = self._held_pose
+        positions, place, turn = make(rng, own_time)
         positions = positions.clip(self.rig.lower, self.rig.upper)
         if rng.random() < 0.5:
             positions, place, turn = mirrored_motion(self.rig, positions, place, turn)
         return positions, place, turn, Dynamics().effective_gravity(turn, _wind(rng, frames))
 
-    def _from_clip(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _from_clip(self, rng: np.random.Generator, own_time: np.ndarray) -> Moved:
         joints, root, orientation = self._clips[rng.choice(len(self._clips), p=self._chances)]
         last = joints.x[-1]
         begin = rng.uniform(0, min(max(last - 2.0, 0.0), 8.0)) if rng.random() < 0.7 else 0.0
@@ -107,8 +111,8 @@ class MotionPool:
         positions = rest + (positions - rest) * rng.uniform(0.8, 1.12)
         if rng.random() < 0.5:  # another bearing
             gaps = rng.uniform(0.8, 2.5, size=_gaps(own_time, 0.8))
-            way = self._way(rng, gaps)
-            positions = positions + rng.uniform(0, 0.2) * (way(np.arange(len(own_time)) / RATE_HZ) - rest)
+            others = self._path(rng, gaps)
+            positions = positions + rng.uniform(0, 0.2) * (others(np.arange(len(own_time)) / RATE_HZ) - rest)
         if rng.random() < 0.5:  # along a curve
             _, yaw = _wander(rng, own_time, rng.uniform(0.3, 1.2))
             turned = _about_vertical(yaw + own_time * rng.normal() * 0.5)
@@ -117,28 +121,26 @@ class MotionPool:
             turn = turned @ turn
         return positions, place, turn
 
-    def _through_poses(
-        self, rng: np.random.Generator, own_time: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _through_poses(self, rng: np.random.Generator, own_time: np.ndarray) -> Moved:
         quickest = rng.uniform(0.25, 0.8)
         gaps = rng.uniform(quickest, quickest + 0.9, size=_gaps(own_time, quickest))
         kind = rng.random()
         if kind < 0.25:  # anything within the limits, not quite as far
             rig, shape = self.rig, (len(gaps) + 1, len(self.rig.rest))
             poses = rig.rest + 0.6 * (rng.uniform(rig.lower, rig.upper, size=shape) - rig.rest)
-            way = _spline(gaps, poses)
+            path = _spline(gaps, poses)
         else:
-            way = self._way(rng, gaps, share=rng.uniform(0.2, 1) if kind < 0.625 else 1.0)
+            path = self._path(rng, gaps, share=rng.uniform(0.2, 1) if kind < 0.625 else 1.0)
         place, yaw = _wander(rng, own_time, rng.uniform(0.2, 1.2))
-        return way(own_time), place, _about_vertical(yaw)
+        return path(own_time), place, _about_vertical(yaw)
 
-    def _sits_down(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _sits_down(self, rng: np.random.Generator, own_time: np.ndarray) -> Moved:
         """Down on a seat and up again, feet where they stand, with what the upper body does in an everyday pose."""
         seated, leans, begin = np.zeros(len(own_time)), np.zeros(len(own_time)), rng.uniform(0.1, 0.6)
         while begin < own_time[-1]:
             down, stays, up = rng.uniform(0.7, 1.8), rng.uniform(0.5, 2.5), rng.uniform(0.7, 1.5)
             falls, rises = (own_time - begin) / down, (own_time - begin - down - stays) / up
-            seated += smooth_step(falls) * (1 - smooth_step(rises))
+            seated += _pulse(own_time - begin, down, stays, up)
             leans += _hump(falls) + _hump(rises)
             begin += down + stays + up + rng.uniform(0.3, 1.5)
         root = np.outer(seated, [-rng.uniform(0.3, 0.42), 0, -rng.uniform(HIGHEST_SEAT, LOWEST_SEAT)])
@@ -155,7 +157,7 @@ class MotionPool:
         turn = (heading * Rotation.from_euler("y", pitch[:, None])).as_matrix()
         return positions, heading.apply(root), turn
 
-    def _held_pose(self, rng: np.random.Generator, own_time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _held_pose(self, rng: np.random.Generator, own_time: np.ndarray) -> Moved:
         kind, other = rng.random(), self._poses[rng.integers(len(self._poses))]
         away = 0.0 if kind < AT_REST else rng.uniform(0, 1) ** 3 if kind < AT_REST + NEARLY else 1.0
         pose = self.rig.rest + away * (other - self.rig.rest)
@@ -171,8 +173,7 @@ class MotionPool:
             begin = 0.3
             while begin < times[-1]:
                 up, hold, down = rng.uniform(0.2, 0.7), rng.uniform(0.3, 1.5), rng.uniform(0.2, 0.5)
-                since = times - begin
-                speed = smooth_step(since / up) * (1 - smooth_step((since - up - hold) / down))
+                speed = _pulse(times - begin, up, hold, down)
                 place = place + np.outer(np.cumsum(rng.uniform(0.5, 1.8) * speed) / RATE_HZ, ahead)
                 begin += up + hold + down + rng.uniform(0.8, 2)
         elif which == 2:  # turns
@@ -185,15 +186,14 @@ class MotionPool:
             place, yaw = _wander(rng, own_time, rng.uniform(0.5, 1.5))
         return np.tile(pose, (len(times), 1)), place, _about_vertical(yaw)
 
-    def _way(self, rng: np.random.Generator, gaps: np.ndarray, *, share: float = 1.0) -> CubicSpline:
-        """A smooth way through everyday poses, so many seconds apart, `share` of the way there from the rest pose."""
+    def _path(self, rng: np.random.Generator, gaps: np.ndarray, *, share: float = 1.0) -> CubicSpline:
+        """A smooth path through everyday poses that are `gaps` [s] apart. share: how far each is from the rest pose,
+        1 for the whole distance."""
         poses = self._poses[rng.integers(len(self._poses), size=len(gaps) + 1)]
         return _spline(gaps, self.rig.rest + share * (poses - self.rig.rest))
 
 
-def mirrored_motion(
-    rig: Rig, positions: np.ndarray, place: np.ndarray, turn: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mirrored_motion(rig: Rig, positions: np.ndarray, place: np.ndarray, turn: np.ndarray) -> Moved:
     """A motion seen in a mirror: positions (T, d), place (T, 3) and turn (T, 3, 3)."""
     return mirrored(rig, positions), place @ MIRROR, MIRROR @ turn @ MIRROR
 
@@ -203,13 +203,13 @@ def _spline(gaps: np.ndarray, poses: np.ndarray) -> CubicSpline:
 
 
 def _gaps(own_time: np.ndarray, shortest: float) -> int:
-    """So many of at least `shortest` [s] are enough: own time runs up to 1.3 times as fast."""
+    """How many gaps of at least `shortest` [s] are enough: own time runs up to 1.3 times as fast."""
     return max(3, math.ceil(max(own_time[-1], len(own_time) / RATE_HZ) / shortest))
 
 
 def _own_time(rng: np.random.Generator, frames: int) -> np.ndarray:
-    """(T,) [s] of the motion: as it is, or faster or slower, now and then it stands, and half of these begin from
-    standing."""
+    """Time (T,) [s] of the motion in each frame. It runs evenly, or faster or slower with pauses; half of the uneven
+    motions begin from standing."""
     times = np.arange(frames) / RATE_HZ
     if rng.random() < STEADY:
         return times
@@ -217,8 +217,7 @@ def _own_time(rng: np.random.Generator, frames: int) -> np.ndarray:
     begin = rng.uniform(0.5, 2.5)
     while begin < times[-1]:
         ease, pause = rng.uniform(0.15, 0.5), rng.uniform(0.3, 1.5)
-        since = times - begin
-        speed *= 1 - smooth_step(since / ease) * (1 - smooth_step((since - ease - pause) / ease))
+        speed *= 1 - _pulse(times - begin, ease, pause, ease)
         begin += 2 * ease + pause + rng.uniform(1.0, 4.0)
     if rng.random() < 0.5:
         speed *= smooth_step(times / 0.4)
@@ -240,8 +239,8 @@ def _wander(rng: np.random.Generator, times: np.ndarray, size: float) -> tuple[n
     place, yaw = np.zeros((len(times), 3)), np.zeros(len(times))
     for _ in range(6):
         rate = 2 * math.pi * _log_uniform(rng, 0.3, 3)
-        way = rng.normal(size=3) * [1.2, 1.2, 0.6] * size / rate**2
-        place += np.outer(np.sin(rate * times + rng.uniform(0, 2 * math.pi)), way)
+        reach = rng.normal(size=3) * [1.2, 1.2, 0.6] * size / rate**2
+        place += np.outer(np.sin(rate * times + rng.uniform(0, 2 * math.pi)), reach)
         rate = 2 * math.pi * _log_uniform(rng, 0.25, 1.5)
         yaw += np.sin(rate * times + rng.uniform(0, 2 * math.pi)) * rng.normal() * 4 * size / rate**2
     return place + np.outer(times, [*(0.6 * rng.normal(size=2)), 0.0]), yaw
@@ -256,13 +255,15 @@ def _wind(rng: np.random.Generator, frames: int) -> np.ndarray:
     begin = rng.uniform(-1, 1)
     while begin < times[-1]:
         rise, lasts, fall = rng.uniform(0.15, 0.8), rng.uniform(0.2, 1.5), rng.uniform(0.2, 1)
-        since = times - begin
-        speed = speed + rng.uniform(0.3, 1) * smooth_step(since / rise) * (
-            1 - smooth_step((since - rise - lasts) / fall)
-        )
+        speed = speed + rng.uniform(0.3, 1) * _pulse(times - begin, rise, lasts, fall)
         begin += rise + lasts + fall + rng.uniform(-0.3, 1.5)
     ahead = [math.cos(heading), math.sin(heading), 0.2 * rng.normal()]
     return np.outer(_log_uniform(rng, LIGHTEST, STRONGEST) * speed, ahead)
+
+
+def _pulse(since: np.ndarray, rise: float, lasts: float, fall: float) -> np.ndarray:
+    """From 0 to 1 and back at times [s] since it begins: it rises, lasts and falls for so many seconds."""
+    return smooth_step(since / rise) * (1 - smooth_step((since - rise - lasts) / fall))
 
 
 def _hump(u: np.ndarray) -> np.ndarray:

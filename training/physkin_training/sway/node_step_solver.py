@@ -1,9 +1,9 @@
-"""A step of implicit Euler in the numbers of garment nodes, in bounded time.
+"""One step of implicit Euler over garment nodes, in bounded time.
 
-Free are changes q (B, m, 3, 4) of garment nodes, in their own posed frames; vertices are linear in them. A few steps of
-Newton's method, each by a fixed number of conjugate gradients, damped as Levenberg and Marquardt do. What damps, and
-what preconditions, is the mean over bodies at rest of the second derivative, which is learnt once. Cloth is not held up
-until every crease is resolved: what is left is taken up in the next frame.
+The unknowns are changes q (B, m, 3, 4) of garment nodes in their own posed frames; vertices are linear in them. A few
+steps of Newton's method are made, each solved by a fixed number of conjugate gradients, and damped as Levenberg and
+Marquardt do. Damping and preconditioner use the second derivative at rest, averaged over bodies, which is computed
+once. A frame does not wait until every crease is resolved: what is left over is resolved in the next one.
 
 Dimensions: `B` samples, those of a body one after the other, `S` bodies, `m` garment nodes, `n` vertices. Metres,
 newtons, joules.
@@ -40,7 +40,7 @@ class Metric:
 
     @classmethod
     def regular(cls, matrix: torch.Tensor, free: torch.Tensor) -> Metric:
-        """Of a matrix that may not be invertible. free: (m,) bool; it is zero for other garment nodes."""
+        """From a matrix that may be singular. free: (m,) bool; the matrix is zero for other garment nodes."""
         held = ~_numbers(free)
         diagonal = matrix.diagonal().clone()
         diagonal[held] = diagonal[~held].mean()
@@ -51,12 +51,12 @@ class Metric:
 
 
 class NodeStepSolver(NewtonSolver):
-    """Minimises an incremental potential over garment nodes; gradients and steps are of changes in their own posed
-    frames. free: (m,) bool, those that move.
+    """Minimises an incremental potential over garment nodes. Gradients and steps are changes of garment nodes in their
+    own posed frames. free: (m,) bool, the garment nodes that move.
 
-    `metric` is to be set, from `mean_stiffness`, before the first step, and `tether` (12 m,) [J], zero at first and
-    for those that do not move, by which changes of garment nodes are drawn back to the drape: some of them move no
-    cloth, and would drift on and on.
+    Two attributes are to be set before the first step. `metric` is made from `mean_stiffness`. `tether` (12 m,) [J] is
+    a weak spring that draws garment nodes back to the drape, because changes that move no cloth would drift on and on.
+    It is zero at first, and stays zero for garment nodes that do not move.
     """
 
     metric: Metric
@@ -82,10 +82,11 @@ class NodeStepSolver(NewtonSolver):
         products: int,
         damping: float = FIRST_DAMPING,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Garment nodes (B, m, 3, 4) and vertices (B, n, 3), from the best of `starts` on the bodies posed last.
+        """Garment nodes (B, m, 3, 4) and vertices (B, n, 3) after a step from the best of `starts`, on the bodies that
+        were posed last.
 
-        drape: (B, m, 3, 4), to which the tether draws. turns: (B, m, 3, 3) of the posed garment nodes. gravity: (B, 3).
-        newton: steps; products: in each of them. damping: the first one.
+        drape: (B, m, 3, 4), what the tether draws to. turns: (B, m, 3, 3), rotations of the posed garment nodes.
+        gravity: (B, 3). newton: how many Newton steps; products: matrix products in each. damping: in the first one.
         """
         self.begin(gravity, *self.samples.contact)
         self._drape, self._turns, self._products = drape, turns, products
@@ -98,7 +99,7 @@ class NodeStepSolver(NewtonSolver):
         return here.variables, here.vertices
 
     def mean_stiffness(self, nodes: torch.Tensor, turns: torch.Tensor, gravity: torch.Tensor) -> torch.Tensor:
-        """Second derivative (12 m, 12 m) at garment nodes (B, m, 3, 4), the mean over bodies; the samples of a body
+        """Second derivative (12 m, 12 m) at garment nodes (B, m, 3, 4), averaged over bodies. The samples of a body
         must be alike."""
         self.begin(gravity, *self.samples.contact)
         self._drape, self._turns = nodes, turns
@@ -107,7 +108,7 @@ class NodeStepSolver(NewtonSolver):
         return self._mean(self._times)
 
     def mean_inertia(self, turns: torch.Tensor) -> torch.Tensor:
-        """Mass matrix (12 m, 12 m) [kg], the mean over bodies."""
+        """Mass matrix (12 m, 12 m) [kg], averaged over bodies."""
         mass = self.losses.time_step.mass[..., None]
 
         def times(q: torch.Tensor) -> torch.Tensor:

@@ -1,7 +1,7 @@
-"""Principal shapes of simulated offsets, by what they weigh and by what they cost.
+"""Principal shapes of simulated offsets: a few directions that hold nearly all that cloth does.
 
-Few directions of the many numbers hold nearly all that cloth does. They are the principal axes in a metric of two
-parts: the mass that moves, and the energy that an error costs, without which cloth would be near, but strained.
+They are the principal axes in a metric of two parts: the mass that an error moves, and the energy that it costs. With
+mass alone, cloth would be in nearly the right place, but strained.
 
 Dimensions: `N` offsets, `a = 12 m` numbers of garment nodes, `r` shapes. Kilograms, metres, joules.
 """

@@ -1,9 +1,9 @@
 """Cloth with inertia in the numbers of garment nodes: many walkers at once, each a body in a motion of its own.
 
-Contact is softer than in the references on the full mesh, so that so few numbers can solve a frame in one step. And
-cloth between garment nodes cannot buckle, so it yields under compression: as stiff as in tension it would be held by
-what in cloth are small folds, and swing three quarters as far. What is simulated are offsets: what would have to be
-added to the node deformer's corrections.
+Contact is softer than in simulations of the full mesh, so that so few numbers can solve a frame in one step. Cloth
+between garment nodes cannot buckle, so it yields under compression instead. If it were as stiff as in tension, it would
+resist where real cloth makes small folds, and swing only three quarters as far. What is simulated are offsets, which
+the garment's node corrections would need to be right.
 
 Dimensions: `B` walkers, those of a body one after the other, `S` bodies, `T` frames, `m` garment nodes. Metres.
 """
@@ -31,38 +31,38 @@ from physkin_training.sway.node_step_solver import Metric, NodeStepSolver
 __all__ = ["SLOWLY", "WalkerSimulation", "in_one_size", "potential_of_walkers"]
 
 ONE_SIZE = 3
-"""Every third body wears the template, the others what is made to measure."""
+"""Every third body wears the template, the others a garment made to measure."""
 SOFTER_CONTACT = 0.1
 COMPRESSED = 0.005
 """Share of the stiffness of cloth that is left under compression, of walkers."""
 NEWTON, PRODUCTS = 8, 14
 FIRST_STEPS, FIRST_STEP, FIRST_DAMPING = 8, 0.2, 0.05
-"""Of the drape at rest that a motion begins with: so many steps of so many seconds, each from standing still."""
-LARGEST_WAY = 0.33
-"""[m] no vertex is forecast to move farther in a frame."""
+"""A motion begins with the drape at rest, found in so many steps of so many seconds, each from standing still."""
+LARGEST_MOVE = 0.33
+"""[m] How far the forecast moves a vertex in a frame at most."""
 LARGEST_OFFSET = 1.0
-"""[m] cloth with a vertex farther from the model's drape is lost: it begins anew at the drape. Garment nodes say less:
-some of what they do moves hardly any cloth."""
+"""[m] Cloth with a vertex farther from the model's drape than this is lost, and begins anew at the drape. Vertices are
+measured and not garment nodes, some of whose changes move hardly any cloth."""
 DEEP, MOST_DEEP = 0.02, 0.002
-"""Cloth is lost, too, where so large a share of its vertices more than at first are deeper [m] in a part of the body
-that they are worn on: a limb goes through it."""
+"""Cloth is also lost if a limb goes through it: if the share of its vertices that are deeper than `DEEP` [m] in the
+part of the body they are worn on has grown by more than `MOST_DEEP` since the first frame."""
 LOST_FOR = 30
 """Frames that do not count after cloth was lost."""
 TETHER = (2 * np.pi * 0.5) ** 2
-"""[1/s2] by which each garment node is drawn back to the drape, over its own inertia: cloth hardly feels it, as nodes
-move it together, but what they do that moves none would drift away."""
+"""[1/s2] Stiffness over inertia of the tether of each garment node, see `NodeStepSolver`. Many garment nodes together
+move cloth, so cloth hardly feels it."""
 SLOWLY = (2 * np.pi * 1.4) ** 2
-"""[1/s2] inertia of cloth that swings 1.4 times a second, over its mass."""
+"""[1/s2] Inertia over mass of cloth that swings 1.4 times a second."""
 
 
 def in_one_size(bodies: int) -> np.ndarray:
-    """(bodies,) bool, which of so many bodies wear the template all the same."""
+    """(bodies,) bool, which of so many bodies wear the template instead of a garment made to measure."""
     return np.arange(bodies) % ONE_SIZE == 1
 
 
 def potential_of_walkers(dressed: DressedSamples, *, compressed: float) -> IncrementalPotential:
-    """Of a frame, of cloth that keeps this share of its stiffness under compression. What it loses inside itself is
-    left out, as that would hold what yields."""
+    """The incremental potential of a frame, for cloth that keeps this share of its stiffness under compression. What
+    cloth loses inside itself is left out, because it would resist that compression."""
     potential = dressed.potential(1 / RATE_HZ, Dynamics(relaxation=0.0))
     potential.stretch.compressed = compressed
     return potential
@@ -97,9 +97,9 @@ class _Stance:
 class WalkerSimulation:
     """`each` walkers on each of bodies (S, c), shape coefficients of `body_model`.
 
-    free: (m,) bool, garment nodes that move; the others, as those of a bodice, stay as the model has them. `inertia`
-    [kg] and `cost` [J], both (12 m, 12 m): of a change of offsets, the mean over bodies at rest: its mass, and what it
-    strains cloth, with the inertia of cloth that swings.
+    free: (m,) bool, garment nodes that move; others, such as those of a bodice, stay as the model has them. `inertia`
+    [kg] and `cost` [J], both (12 m, 12 m), are averages over bodies at rest: the mass that a change of offsets moves,
+    and the energy that it costs in strain and in the inertia of cloth that swings.
     """
 
     def __init__(
@@ -145,9 +145,9 @@ class WalkerSimulation:
     def run(
         self, motions: WalkerMotions, watch: Callable[[int, torch.Tensor, torch.Tensor, torch.Tensor], None]
     ) -> None:
-        """Simulate motions of the B walkers, telling `watch` of every frame its index, the offsets of garment nodes in
-        their own posed frames, the forces [N] by which inertia and drag resist changes of these, both (B, m, 3, 4),
-        and which of them count (B,)."""
+        """Simulate motions of the B walkers. After every frame `watch` is called with its index, the offsets of garment
+        nodes in their own posed frames (B, m, 3, 4), the forces [N] by which inertia and drag resist changes of them
+        (B, m, 3, 4), and which walkers count (B,)."""
         device = self.dressed.device
         moved = (motions.positions, motions.turn, motions.place, motions.gravity)
         positions, *others = (torch.as_tensor(a, device=device) for a in moved)
@@ -216,9 +216,9 @@ class WalkerSimulation:
         of the last frame."""
         forecast = torch.where(self.free[:, None, None], now.to_root(2 * last - before_last), now.drape)
         before = self.skinning.vertices(now.to_root(last))
-        way = self.skinning.vertices(forecast) - before
-        way = way * (LARGEST_WAY / way.norm(dim=2, keepdim=True).clamp_min(LARGEST_WAY))
-        self.potential.begin(before, before + way)
+        move = self.skinning.vertices(forecast) - before
+        move = move * (LARGEST_MOVE / move.norm(dim=2, keepdim=True).clamp_min(LARGEST_MOVE))
+        self.potential.begin(before, before + move)
         starts = [forecast, now.nodes(offsets)]
         at = (now.drape, now.node_turns, now.gravity)
         return self._solver.minimise(starts, *at, newton=NEWTON, products=PRODUCTS)

@@ -1,4 +1,4 @@
-"""What walkers did, as learning takes it: motions, and what their clothes did as coefficients of shapes.
+"""Simulated walkers, as learning takes them: their motions, and the motion of their clothes as coefficients of shapes.
 
 Dimensions: `N` walkers, `T` frames, `t` frames kept, `d` degrees of freedom, `c` body code, `r` shapes, `S` bodies.
 """
@@ -25,12 +25,14 @@ from physkin_training.sway.walker_simulation import WalkerSimulation
 __all__ = ["KEPT_EVERY", "Walkers", "simulated_walkers"]
 
 KEPT_EVERY = 4
-"""Frames from one that is learnt to the next."""
+"""One of so many frames is learnt."""
+AT_ONCE = 5
+"""Walkers on each body that are simulated at once, at most."""
 MOST_SHAPES = 160
 LEAST_VALID = 0.5
-"""Share of the frames that must count."""
+"""Share of the frames that must count, see `WalkerSimulation.run`."""
 TIMED_FROM = 0.03
-"""Share of the frames before which kernels are still being loaded; at least as many are timed then."""
+"""Share of the frames that are not timed, because kernels are still being loaded. As many are timed at least."""
 
 
 @dataclass(frozen=True)
@@ -67,19 +69,21 @@ def simulated_walkers(
     *,
     bodies: int,
     each: int,
-    rounds: int,
     seconds: float,
     seed: int,
     within: float,
     say: Callable[[str], None],
 ) -> Walkers:
-    """Simulate `rounds` times `each` walkers on each of so many bodies of training, motions of so many seconds.
+    """Simulate `each` walkers on each of so many training bodies, with motions of so many seconds. They are simulated
+    equally many at a time, so there may be slightly more of them.
 
-    share: (m,), see `sway_share`. within: [s] that it may take. say: told how it went. Raises ValueError where most
-    cloth was lost, none moves, or it would take longer.
+    share: (m,), see `sway_share`. within: [s] that it may take. say: called with sentences on how it went. Raises
+    ValueError if most cloth was lost, none moves, or it would take longer.
     """
     chosen = np.random.default_rng(seed).permutation(len(body_model.train_bodies))[:bodies]
     coefficients = body_model.train_bodies[chosen]
+    rounds = math.ceil(each / AT_ONCE)
+    each = math.ceil(each / rounds)
     simulation = WalkerSimulation(model, body_model, coefficients, each, device, free=share > 0)
     frames = round(seconds * RATE_HZ)
     pool, at_once = MotionPool(model.rig), bodies * each

@@ -20,10 +20,10 @@ __all__ = ["STRIDES", "Window", "Windows"]
 STRIDES = (1, 2, 4)
 """Frames of 60 a second from one that the network sees to the next."""
 OTHER_BODY, OTHER_JOINTS = 0.5, 0.15
-"""How far a blurred window is seen from another body, in standard deviations of its code, and from another pose, in
-halves of each joint's range."""
+"""How far the body and the pose of a blurred window are from the real ones: in standard deviations of the body code,
+and in halves of each joint's range."""
 STILL = 0.2
-"""Cloth that moves less than this share of the mean square counts no more."""
+"""Below this share of the mean square movement, cloth that moves less counts no more for it."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,9 @@ class Window:
         return network.hidden(self.drive, self.pose, self.code, self.step, every=self.every)
 
     def blurred(self, *, sharp: torch.Tensor | None = None) -> Window:
-        """As if other bodies in other poses had moved so, the same ones throughout each window: there are few walkers,
-        and a network that tells them apart learns them by heart. sharp: (B,) bool, windows that stay as they are."""
+        """The same targets for another body in another pose, which stay the same throughout a window. There are few
+        walkers, and a network that can tell them apart learns them by heart. sharp: (B,) bool, windows that stay as
+        they are."""
         joints = self.pose.shape[2] - 3
         share = torch.ones_like(self.code[:, :1]) if sharp is None else (~sharp[:, None]).float()
         away = OTHER_JOINTS * share[:, None] * torch.randn_like(self.pose[:, :1, :joints])
@@ -66,8 +67,8 @@ class Window:
         return (errors * self.share).sum() / self.share.sum().clamp_min(1)
 
     def evenly(self) -> torch.Tensor:
-        """How much errors of each window count (B,), 1 on average: the less its cloth moves, the more, so that a gentle
-        swing is learnt as well as a leap."""
+        """How much the errors of each window count (B,), 1 on average. They count more if its cloth moves less, so that
+        a gentle swing is learnt as well as a leap."""
         moved = self._variance(self.coefficients).sum(dim=1)
         weights = 1 / (moved + STILL * moved.mean()).clamp_min(1e-12)
         return weights / weights.mean()
@@ -90,7 +91,7 @@ class Windows:
             self._seen[stride] = features(*(part[:, frames] for part in motion), stride / RATE_HZ)
 
     def at(self, walker: torch.Tensor, *, stride: int) -> Window:
-        """Windows of walkers (B,), on their device. Nothing of this waits for the device.
+        """Windows of walkers (B,), on their device. This does not wait for the device.
 
         stride: frames of 60 a second from one that the network sees to the next.
         """
