@@ -22,7 +22,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import linear, surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 from physkin_core.runtime.layer import Layer
 
 __all__ = ["dressed_glb"]

@@ -29,7 +29,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.skinning import unit
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.layer import Layer
 

@@ -11,7 +11,7 @@ from physkin_core.export.gltf_builder import glb
 from physkin_core.export.gltf_scene import GltfScene
 from physkin_core.mesh.look import Look
 from physkin_core.model.garment import vertex_normals
-from physkin_core.picture import Mesh
+from physkin_core.pictures.picture import Mesh
 
 __all__ = ["still_glb"]
 

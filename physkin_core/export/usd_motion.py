@@ -15,7 +15,7 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import Picture, Surface, linear, surfaces_of
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, UsdShade

@@ -23,7 +23,7 @@ from physkin_core.mesh.tiles_seen import colours_seen
 from physkin_core.model.fabric import COLOURS, split_colour
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import SkinnedGarment
-from physkin_core.picture import layer_colours
+from physkin_core.pictures.picture import layer_colours
 
 __all__ = [
     "CLOTHS",

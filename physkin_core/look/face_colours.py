@@ -15,7 +15,7 @@ from physkin_core.look.avatar_look import avatar_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.picture_samples import sampled_picture
 from physkin_core.mesh.surfaces import Surface, linear, surfaces_of
-from physkin_core.picture import BODY_COLOUR, pillow
+from physkin_core.pictures.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]
 

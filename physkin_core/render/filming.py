@@ -18,7 +18,7 @@ from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, render
+from physkin_core.pictures.picture import BODY_COLOUR, Mesh, contact_sheet, render
 from physkin_core.progress import Watch
 
 __all__ = [

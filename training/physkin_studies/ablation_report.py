@@ -19,7 +19,7 @@ from physkin_core.bench import STAGES, bound_frame, time_in_turns
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
-from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.runtime.evaluator import Evaluator
 from physkin_studies.ablation_rows import BASE, ROWS, finished_figures, model_path
 from physkin_studies.fantastical_bodies import KINDS, fantastical_body_model

@@ -13,7 +13,7 @@ from physkin_core.cli import main
 from physkin_core.look.cloth_look import CLOTHS, FABRICS_PATH, cloth_colour, cloth_look, dyed
 from physkin_core.mesh.surfaces import linear, surfaces_of
 from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
-from physkin_core.picture import Mesh, render
+from physkin_core.pictures.picture import Mesh, render
 from tests.random_models import random_model, sewn_tube
 
 Image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")

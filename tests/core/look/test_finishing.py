@@ -8,8 +8,8 @@ import pytest
 from physkin_core.look.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.surfaces import Picture, Surface
 from physkin_core.model.garment import Garment, vertex_normals
-from physkin_core.picture_paint import painted
-from physkin_core.picture_scene import view_of
+from physkin_core.pictures.picture_paint import painted
+from physkin_core.pictures.picture_scene import view_of
 from tests.random_models import sewn_tube
 
 WIDTH, HEIGHT, LIFT = 0.6, 0.2, 3e-4

@@ -14,7 +14,7 @@ import numpy as np
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.check.garment_check import check_garment
-from physkin_core.picture import PictureError, contact_sheet
+from physkin_core.pictures.picture import PictureError, contact_sheet
 from physkin_core.render.filming import dressed_meshes
 from physkin_training.catalogue.plan import CHECKPOINT, Job, Status, read_status, stage, write_status
 from physkin_training.evaluate.contact_sheet import chosen_poses

@@ -14,7 +14,7 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.draper import Draper
-from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
 from physkin_training.dynamics.reference import Reference, load_reference
 
 __all__ = ["draw_strip"]

@@ -26,7 +26,7 @@ from physkin_core.model.garment import load_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.outfit.outfit_options import print_warnings
-from physkin_core.picture import PictureError, contact_sheet, save_png
+from physkin_core.pictures.picture import PictureError, contact_sheet, save_png
 from physkin_training.config import TrainingConfig, as_toml, load_config
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.first_model import chosen_start, first_look, first_model, folds_verdict

@@ -16,7 +16,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
-from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.render.filming import avatar_mesh, dressed_meshes
 from physkin_training.evaluate.contact_sheet import chosen_poses, draw_sheet
 from physkin_training.evaluate.evaluate import evaluate_model

@@ -10,7 +10,7 @@ import numpy as np
 
 from physkin_core.mesh.surfaces import Surface
 from physkin_core.mesh.tiles_seen import colours_seen
-from physkin_core.picture_scene import View
+from physkin_core.pictures.picture_scene import View
 
 __all__ = ["painted"]
 

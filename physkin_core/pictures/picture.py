@@ -17,8 +17,8 @@ import numpy as np
 from physkin_core.extras import install_command
 from physkin_core.mesh.surfaces import Surface
 from physkin_core.model.garment import vertex_normals
-from physkin_core.picture_paint import painted
-from physkin_core.picture_scene import View, light, plain_surface, textured_surface, view_of
+from physkin_core.pictures.picture_paint import painted
+from physkin_core.pictures.picture_scene import View, light, plain_surface, textured_surface, view_of
 
 __all__ = [
     "BODY_COLOUR",
