@@ -14,13 +14,12 @@ SHEEN_ROUGHNESS = 0.5
 
 
 class GltfMaterials:
-    """builder: of the document. `finish` is called last."""
+    """builder: of the document that they are written into."""
 
     def __init__(self, builder: GltfBuilder) -> None:
         self._builder = builder
-        self._materials: list[dict] = []
-        self._pictures: dict[Picture, int] = {}
-        self._extensions: set[str] = set()
+        self._materials = builder.document.setdefault("materials", [])
+        self._pictures: list[Picture] = []
 
     def add(self, surface: Surface) -> int:
         """The index of its material; of two that are alike, the first one's."""
@@ -35,31 +34,28 @@ class GltfMaterials:
             material["alphaMode"] = "BLEND"
         if surface.sheen:
             sheen = {"sheenColorFactor": 3 * [surface.sheen], "sheenRoughnessFactor": SHEEN_ROUGHNESS}
-            material["extensions"] = {SHEEN: sheen}
-            self._extensions.add(SHEEN)
+            material["extensions"] = self._extension(SHEEN, sheen)
         if material not in self._materials:
             self._materials.append(material)
         return self._materials.index(material)
 
-    def finish(self) -> None:
-        """Put them into the document, with their pictures."""
-        self._builder.document["materials"] = self._materials
-        if self._pictures:
-            images = [
-                {"name": each.name, "mimeType": each.kind, "bufferView": view} for each, view in self._pictures.items()
-            ]
-            textures = [{"source": image} for image in range(len(images))]
-            self._builder.document |= {"images": images, "textures": textures}
-        if self._extensions:
-            self._builder.document["extensionsUsed"] = sorted(self._extensions)
-
     def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
         """What a material says of it. glTF has the origin of texture coordinates at the upper left."""
+        document = self._builder.document
         if picture not in self._pictures:
-            self._pictures[picture] = self._builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
-        texture = {"index": list(self._pictures).index(picture)}
+            view = self._builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
+            image = {"name": picture.name, "mimeType": picture.kind, "bufferView": view}
+            document.setdefault("images", []).append(image)
+            document.setdefault("textures", []).append({"source": len(self._pictures)})
+            self._pictures.append(picture)
+        texture = {"index": self._pictures.index(picture)}
         if repeats == (1.0, 1.0):
             return texture
-        self._extensions.add(TRANSFORM)
         scale = {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}
-        return {**texture, "extensions": {TRANSFORM: scale}}
+        return {**texture, "extensions": self._extension(TRANSFORM, scale)}
+
+    def _extension(self, name: str, content: dict) -> dict:
+        """An entry of `extensions`; the document says that it is used."""
+        used = self._builder.document.setdefault("extensionsUsed", [])
+        used[:] = sorted({*used, name})
+        return {name: content}

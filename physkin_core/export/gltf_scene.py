@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
 from physkin_core.export.gltf_materials import GltfMaterials
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Surface, split_at_seams
+from physkin_core.mesh.surfaces import Part, split_at_seams
+from physkin_core.model.garment import vertex_normals
 
 __all__ = ["GltfScene", "in_gltf_frame"]
 
@@ -25,7 +26,7 @@ def in_gltf_frame(vectors: np.ndarray) -> np.ndarray:
 
 
 class GltfScene:
-    """nodes, meshes: of the document. roots: indices of nodes that hang on nothing. `finished` is called last."""
+    """nodes, meshes: of the document. roots: indices of nodes that hang on nothing."""
 
     def __init__(self) -> None:
         self.builder = GltfBuilder({"generator": "PhySkin"})
@@ -38,32 +39,29 @@ class GltfScene:
 
     def add_mesh(
         self,
-        name: str,
+        part: Part,
         cloud: np.ndarray,
-        faces: np.ndarray,
-        look: Look | None,
-        surfaces: Sequence[Surface],
         *,
         attributes: Mapping[str, np.ndarray] | None = None,
         morphs: MorphTargets | None = None,
         **node: Any,
     ) -> None:
         """A mesh and the node that has it, with other properties of that. cloud: (v, 6) positions and unit normals, of
-        which those that no face (f, 3) uses are left out. attributes: what else vertices have, (v, ...) each. look,
-        surfaces: texture places, if any, and materials of its faces. morphs: of its vertices."""
+        which those that no face uses are left out. attributes: what else vertices have, (v, ...) each. morphs: of its
+        vertices."""
         add = self.builder.add_accessor
         stored = {}
-        if look is None:
-            own, faces = np.unique(faces, return_inverse=True)
+        if part.look is None:
+            own, faces = np.unique(part.faces, return_inverse=True)
             faces = faces.reshape(-1, 3)
         else:
-            own, places, faces = split_at_seams(look, faces)
+            own, places, faces = split_at_seams(part.look, part.faces)
             stored["TEXCOORD_0"] = add((places * [1, -1] + [0, 1]).astype(np.float32))
         stored["POSITION"] = add(in_gltf_frame(cloud[own, :3]))
         stored["NORMAL"] = add(in_gltf_frame(cloud[own, 3:]))
         for key, values in (attributes or {}).items():
             stored[key] = add(values[own], normalized=key.startswith("WEIGHTS"))
-        mesh: dict = {"name": name}
+        mesh: dict = {"name": part.name}
         targets = {}
         if morphs is not None:
             morphs = morphs.of_vertices(own)
@@ -78,11 +76,17 @@ class GltfScene:
                 "material": self._materials.add(surface),
                 **targets,
             }
-            for surface in surfaces
+            for surface in part.surfaces
         ]
         self.roots.append(len(self.nodes))
-        self.nodes.append({"name": name, "mesh": len(self.meshes), **node})
+        self.nodes.append({"name": part.name, "mesh": len(self.meshes), **node})
         self.meshes.append(mesh)
+
+    def add_body(self, avatar: Avatar, part: Part, **node: Any) -> None:
+        """Some of an avatar's faces, on the skin that `node` names."""
+        joints, weights = strongest_influences(avatar.influence_bones, avatar.influence_weights)
+        cloud = np.concatenate([avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)], axis=1)
+        self.add_mesh(part, cloud, attributes={"JOINTS_0": joints, "WEIGHTS_0": weights}, **node)
 
     def add_skin(self, name: str, joints: Sequence[int], rest: np.ndarray) -> int:
         """Meshes are bound where unturned joints, indices of nodes, are at `rest` (j, 3). Returns the skin's index."""
@@ -92,11 +96,6 @@ class GltfScene:
         skins = self.builder.document.setdefault("skins", [])
         skins.append({"name": name, "joints": list(joints), "inverseBindMatrices": inverse})
         return len(skins) - 1
-
-    def finished(self) -> GltfBuilder:
-        """The document, whole."""
-        self._materials.finish()
-        return self.builder
 
     def _add_targets(self, morphs: MorphTargets, count: int) -> list[dict[str, int]]:
         """Of a mesh of so many vertices."""

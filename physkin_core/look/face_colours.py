@@ -14,7 +14,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.picture_samples import sampled_picture
-from physkin_core.mesh.surfaces import Surface, linear, surfaces_of
+from physkin_core.mesh.surfaces import Surface, surfaces_of
 from physkin_core.pictures.picture import BODY_COLOUR, pillow
 
 __all__ = ["avatar_colours", "face_colours"]
@@ -36,7 +36,7 @@ def face_colours(look: Look, colour: tuple[float, float, float]) -> np.ndarray:
     """(f, 3) sRGB in [0, 1] of a look's faces. colour: sRGB, of faces without a material. A damaged picture is left out
     and logged."""
     found = np.empty((len(look.material), 3))
-    for surface in surfaces_of(look, "plain", linear(colour), len(found)):
+    for surface in surfaces_of(look, "plain", colour, len(found)):
         found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
     return found ** (1 / 2.2)
 

@@ -11,7 +11,7 @@ from physkin_core import FABRICS, save_garment_model
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.cli import main
 from physkin_core.look.cloth_look import CLOTHS, FABRICS_PATH, cloth_colour, cloth_look, dyed
-from physkin_core.mesh.surfaces import linear, surfaces_of
+from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
 from physkin_core.pictures.picture import Mesh, render
 from tests.random_models import random_model, sewn_tube
@@ -55,7 +55,7 @@ def test_the_look_lies_along_the_grain_in_metres():
     chosen = np.arange(len(tube.faces)) % 2 == 0
     look = cloth_look(tube, "denim:teal", chosen, TEAL)
     np.testing.assert_array_equal(look.uv, tube.panel_places[tube.panel_faces[chosen]])
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
+    (surface,) = surfaces_of(look, "skirt", TEAL, len(look.uv))
     assert surface.name == "denim" and surface.roughness == 0.9
     assert surface.repeats == surface.normal_repeats == pytest.approx((1 / 0.0176,) * 2, rel=1e-5)
     assert surface.picture.name == "denim.png" and surface.normals.name == "denim_normal.png"
@@ -69,7 +69,7 @@ def test_cloth_that_was_not_cut_flat_has_no_grain():
 def test_from_afar_a_tile_is_its_mean_and_flat():
     tube = sewn_tube()
     look = cloth_look(tube, "", np.ones(len(tube.faces), dtype=bool), TEAL)
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
+    (surface,) = surfaces_of(look, "skirt", TEAL, len(look.uv))
     near, far = (colours_seen(surface.picture, surface.repeats, pixel) for pixel in (1e-5, 0.05))
     assert near.shape == (256, 256, 4) and far.shape == (1, 1, 4)
     np.testing.assert_allclose(far[0, 0], near.mean(axis=(0, 1)), atol=1e-3)
@@ -81,7 +81,7 @@ def test_a_picture_shows_the_weave_and_afar_the_colour():
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
     tube = sewn_tube()
     look = cloth_look(tube, "denim", np.ones(len(tube.faces), dtype=bool), TEAL)
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
+    (surface,) = surfaces_of(look, "skirt", TEAL, len(look.uv))
     unevenness = {}
     for size in (1.0, 0.01):
         corners = size * np.array([[0.0, -0.5, 0.0], [0, 0.5, 0], [0, 0.5, 1], [0, -0.5, 1]])
