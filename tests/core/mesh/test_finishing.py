@@ -8,6 +8,7 @@ import pytest
 from physkin_core.mesh.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.surfaces import Picture, Surface
 from physkin_core.model.garment import Garment, vertex_normals
+from physkin_core.pictures.picture import Mesh
 from physkin_core.pictures.picture_paint import painted
 from physkin_core.pictures.picture_scene import view_of
 from tests.random_models import sewn_tube
@@ -99,8 +100,8 @@ def test_paint_is_seen_where_the_cloth_is_and_nowhere_else():
     positions = np.stack([0 * rows, (columns - 20) * view.pixel, (20 - rows) * view.pixel], axis=-1)
     grey = np.full((40, 40, 3), 0.4)
     for behind, normals, seen in ((0.0, ahead, True), (0.1, ahead, False), (0.0, -ahead, False)):
-        mesh = corners - [behind, 0, 0], faces, corners[faces][..., 1:]
-        found = painted(grey, np.full_like(grey, 0.2), positions, view, mesh, normals, red, gain=0.5)
+        mesh = Mesh(corners - [behind, 0, 0], faces, surface=red, places=corners[faces][..., 1:], normals=normals)
+        found = painted(grey, np.full_like(grey, 0.2), positions, view, mesh, gain=0.5)
         covered = (found != grey).any(axis=-1)
         pixels, _ = view.pixels(corners)
         low, high = pixels.min(axis=0), pixels.max(axis=0)
