@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.look.avatar_look import avatar_colours
 from physkin_core.look.cloth_look import cloth_colours, cloth_look, seen_from_afar
-from physkin_core.look.face_colours import avatar_colours
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.model.garment import vertex_normals

@@ -21,21 +21,6 @@ def whole(morphs):
     return found
 
 
-def test_what_is_added_before_skinning_is_what_lacks_after_it():
-    """By matrices that turn, stretch and shear; of vertices that are there already nothing is said."""
-    rest = RNG.normal(size=(VERTICES, 3))
-    matrices = np.concatenate(
-        [np.eye(3) + 0.3 * RNG.normal(size=(VERTICES, 3, 3)), RNG.normal(size=(VERTICES, 3, 1))], axis=2
-    )
-    skinned = np.einsum("vij,vj->vi", matrices[..., :3], rest) + matrices[..., 3]
-    push = 0.01 * RNG.normal(size=rest.shape) * (np.arange(VERTICES) % 3 == 0)[:, None]
-    moved, added = unskinned(rest, matrices, skinned + push)
-    assert list(moved) == list(range(0, VERTICES, 3))
-    rest[moved] += added
-    again = np.einsum("vij,vj->vi", matrices[..., :3], rest) + matrices[..., 3]
-    assert np.linalg.norm(again - skinned - push, axis=1).max() < 1e-3
-
-
 def test_cloth_that_skinning_squeezes_flat_is_not_thrown_far():
     matrices = np.zeros((1, 3, 4))
     matrices[0, :2, :2] = np.eye(2)
@@ -66,18 +51,6 @@ def test_of_many_ways_as_many_are_held_as_are_needed(fading, most):
     np.testing.assert_allclose(morphs.lacking, ways - whole(morphs), atol=1e-12)
     farthest = np.linalg.norm(morphs.lacking, axis=2).max()
     assert farthest < ENOUGH if most < MOST_TARGETS else len(morphs.targets) == MOST_TARGETS
-
-
-def test_normals_turn_with_the_targets():
-    """Where they turn by the same weights, as they should; and so do those of chosen vertices, some twice."""
-    added = np.einsum("tk,kvi->tvi", RNG.normal(size=(FRAMES, 3)), 0.1 * RNG.normal(size=(3, VERTICES, 3)))
-    morphs = in_few_targets(in_frames(added))
-    normals, ways = RNG.normal(size=(VERTICES, 3)), RNG.normal(size=(3, VERTICES, 3))
-    wanted = normals + np.einsum("tk,kvi->tvi", morphs.weights, ways)
-    assert morphs.turns is None
-    turning = morphs.with_turns(normals, wanted)
-    np.testing.assert_allclose(turning.turns, ways, atol=1e-9)
-    np.testing.assert_allclose(turning.of_vertices(np.array([4, 2, 4])).turns, ways[:, [4, 2, 4]], atol=1e-9)
 
 
 @pytest.mark.parametrize("frames", [1, 4])

@@ -13,8 +13,7 @@ from PIL import Image
 
 from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
-from physkin_core.look.avatar_look import avatar_look
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours, avatar_look
 from physkin_core.mesh.look import LIBRARY, Look, few_colours
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.view.scene.heat_map import MOST_COLOURS, own_bands
