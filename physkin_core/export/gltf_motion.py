@@ -37,19 +37,16 @@ TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
 
-def write_gltf_motion(
-    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
-) -> list[str]:
+def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None]) -> list[str]:
     """Write avatar and garments in motion as one .glb, the root where the motion has it. Returns what it cannot show, a
     sentence each.
 
     outfit: as of `drape_clip`; what no frame shows is left out. looks: of all faces of
-    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each. What
+    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; None for a colour. What
     finishes a garment, stitches and hems, are meshes on its skin.
     Raises OSError when it cannot be written.
     """
     clip = drape_clip(outfit, motion)
-    looks = looks or [None] * (1 + len(outfit.layers))
     scene = _Scene(motion.name or path.stem, motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.add_avatar(outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, looks[0])

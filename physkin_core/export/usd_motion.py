@@ -22,14 +22,12 @@ if TYPE_CHECKING:
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(
-    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
-) -> list[str]:
+def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None]) -> list[str]:
     """Write avatar and garments in motion as .usd or .usdc: meshes under a moving root, metres, Z up, with all
     points at each frame. Returns sentences on what it cannot show: none, as it shows all.
 
-    looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; default
-    a colour each. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
+    looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; None
+    for a colour. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
     Raises ModuleNotFoundError without usd-core, OSError when it cannot be written.
     """
     from pxr import Gf, Usd, UsdGeom
@@ -48,7 +46,6 @@ def write_usd_motion(
     colours = [BODY_COLOUR, *cloth_colours(outfit.garments)]
     names = _as_identifiers(["body", *(layer.name for layer in outfit.layers)])
     faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *(layer.faces for layer in outfit.layers)]
-    looks = looks or [None] * (1 + len(outfit.layers))
     meshes = [
         [(_mesh(stage, part, colour, path), part) for part in parts_of(look, name, colour, triangles)]
         for name, triangles, colour, look in zip(names, faces, colours, looks)
