@@ -112,7 +112,7 @@ def _add_painted(library: MaterialLibrary, colours: np.ndarray) -> np.ndarray:
     palette, index = few_colours(colours ** (1 / 2.2), MOST_PAINTED)
     first = len(library.names)
     for number, colour in enumerate(palette, start=first):
-        library.add(f"painted_{number}", colour**2.2, None, suffix="png")
+        library.add(f"painted_{number}", colour**2.2, None)
     return first + index
 
 
@@ -141,8 +141,7 @@ def _add_material(
             content = _readable(_picture_content(file, texture))
         except ContentError as error:
             warn(f"material {name!r} is shown without its picture: {error}")
-    suffix = "jpg" if content is not None and picture_kind(content) == "image/jpeg" else "png"
-    return library.add(name, _base_colour(material), content, suffix=suffix)
+    return library.add(name, _base_colour(material), content)
 
 
 def _picture_content(file: GltfFile, texture: GltfEntry) -> bytes:

@@ -100,13 +100,14 @@ class MaterialLibrary:
         """A name in letters, digits, underscores, points and dashes, which is that of a file, too."""
         return re.sub(r"[^\w.-]+", "_", name)
 
-    def add(self, name: str, colour: Sequence[float], picture: bytes | None, *, suffix: str) -> int:
-        """Its number in `names`. name: plain, and new. colour: linear RGB. picture: a file of that suffix."""
+    def add(self, name: str, colour: Sequence[float], picture: bytes | None) -> int:
+        """Its number in `names`. name: plain, and new. colour: linear RGB. picture: a PNG or JPEG."""
         self.names.append(name)
         text = f"newmtl {name}\nKd " + " ".join(f"{value:.4f}" for value in colour) + "\n"
         if picture is not None:
-            self.files[f"{name}.{suffix}"] = picture
-            text += f"map_Kd {name}.{suffix}\n"
+            file = f"{name}.{'jpg' if picture_kind(picture) == 'image/jpeg' else 'png'}"
+            self.files[file] = picture
+            text += f"map_Kd {file}\n"
         self.files[LIBRARY] = self.files.get(LIBRARY, b"") + text.encode()
         return len(self.names) - 1
 

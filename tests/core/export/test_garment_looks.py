@@ -23,7 +23,6 @@ from physkin_core.mesh.surfaces import surfaces_of
 
 RATE = 5.0
 RED = (0.8, 0.05, 0.1)
-SCALED = "newmtl knit\nmap_Kd {} knit.png\nnewmtl red\nmap_Kd knit.png\n"
 
 
 @pytest.fixture(scope="module")
@@ -153,19 +152,23 @@ def test_a_picture_is_found_after_any_options(tmp_path, shirt, options):
     assert knit.picture.content == picture()
 
 
-def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
-    look = read_mesh(write_look(tmp_path / "look", shirt, library="\tnewmtl\tred\nKd\t0.5\t0.25 0\n")).look
-    surfaces = {each.name: each for each in surfaces_of(look, "longsleeve", RED, len(look.material))}
-    assert surfaces["red"].colour == (0.5, 0.25, 0.0) and surfaces["knit"].colour == (1.0, 1.0, 1.0)
-
-
 @pytest.mark.parametrize(
-    "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
+    "library, expected",
+    [
+        ("newmtl knit\nmap_Kd -s 20 40 1 knit.png\n", {"repeats": (20, 40)}),
+        ("newmtl knit\nmap_Kd -mm 0 1 -s 8 knit.png\n", {"repeats": (8, 1)}),
+        ("newmtl knit\nmap_Kd -s -4 .5 knit.png\n", {"repeats": (-4, 0.5)}),
+        ("newmtl knit\nmap_Kd knit.png\n", {"repeats": (1, 1), "colour": (1, 1, 1)}),
+        ("\tnewmtl\tknit\nKd\t0.5\t0.25 0\n", {"colour": (0.5, 0.25, 0.0)}),
+        ("newmtl red\nKd 1 0 0\n", {"colour": (1, 1, 1), "picture": None}),
+    ],
 )
-def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected):
-    path = write_look(tmp_path / "look", shirt, library=SCALED.format(options))
-    knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
-    assert knit.repeats == expected and red.repeats == (1, 1)
+def test_a_material_is_what_its_library_says(library, expected):
+    """How large its picture is, its colour; words may stand after tabs; what is not named is white."""
+    files = {LIBRARY: library.encode(), "knit.png": picture()}
+    look = Look(np.zeros((1, 3, 2)), np.zeros(1, dtype=int), np.full(1, -1), ("knit",), (), files)
+    (knit,) = surfaces_of(look, "longsleeve", RED, 1)
+    assert {key: getattr(knit, key) for key in expected} == expected
 
 
 def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):
