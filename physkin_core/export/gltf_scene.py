@@ -1,4 +1,4 @@
-"""A glTF scene while it grows: meshes by their materials, and their skins. Arrays come in our root frame.
+"""A glTF scene while it grows: meshes, their materials and skins. Arrays come in our root frame.
 
 Dimensions: `v` vertices of a mesh, `f` its faces, `j` joints.
 """
@@ -12,12 +12,14 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
-from physkin_core.export.gltf_materials import GltfMaterials
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.mesh.surfaces import Part, split_at_seams
+from physkin_core.mesh.surfaces import Part, Picture, Surface, split_at_seams
 from physkin_core.model.garment import vertex_normals
 
 __all__ = ["GltfScene", "in_gltf_frame"]
+
+TRANSFORM, SHEEN = "KHR_texture_transform", "KHR_materials_sheen"
+SHEEN_ROUGHNESS = 0.5
 
 
 def in_gltf_frame(vectors: np.ndarray) -> np.ndarray:
@@ -33,9 +35,10 @@ class GltfScene:
         self.nodes: list[dict] = []
         self.meshes: list[dict] = []
         self.roots: list[int] = []
-        self._materials = GltfMaterials(self.builder)
+        self._materials: list[dict] = []
+        self._pictures: list[Picture] = []
         scene = {"scene": 0, "scenes": [{"nodes": self.roots}], "nodes": self.nodes, "meshes": self.meshes}
-        self.builder.document |= scene
+        self.builder.document |= {**scene, "materials": self._materials}
 
     def add_mesh(
         self,
@@ -73,7 +76,7 @@ class GltfScene:
             {
                 "attributes": stored,
                 "indices": add(faces[surface.faces].astype(np.uint32).reshape(-1)),
-                "material": self._materials.add(surface),
+                "material": self._add_material(surface),
                 **targets,
             }
             for surface in part.surfaces
@@ -105,3 +108,42 @@ class GltfScene:
             for target, each in zip(targets, () if values is None else in_gltf_frame(values)):
                 target[name] = self.builder.add_sparse_accessor(morphs.moved, each, count)
         return targets
+
+    def _add_material(self, surface: Surface) -> int:
+        """The index of its material; of two that are alike, the first one's."""
+        factors = {"metallicFactor": 0.0, "roughnessFactor": surface.roughness}
+        shading: dict = {"baseColorFactor": [*surface.colour, 1.0], **factors}
+        material = {"name": surface.name, "pbrMetallicRoughness": shading, "doubleSided": True}
+        if surface.picture is not None:
+            shading["baseColorTexture"] = self._texture_of(surface.picture, surface.repeats)
+        if surface.normals is not None:
+            material["normalTexture"] = self._texture_of(surface.normals, surface.normal_repeats)
+        if surface.blended:
+            material["alphaMode"] = "BLEND"
+        if surface.sheen:
+            sheen = {"sheenColorFactor": 3 * [surface.sheen], "sheenRoughnessFactor": SHEEN_ROUGHNESS}
+            material["extensions"] = self._extension(SHEEN, sheen)
+        if material not in self._materials:
+            self._materials.append(material)
+        return self._materials.index(material)
+
+    def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
+        """What a material says of it. glTF has the origin of texture coordinates at the upper left."""
+        document = self.builder.document
+        if picture not in self._pictures:
+            view = self.builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
+            image = {"name": picture.name, "mimeType": picture.kind, "bufferView": view}
+            document.setdefault("images", []).append(image)
+            document.setdefault("textures", []).append({"source": len(self._pictures)})
+            self._pictures.append(picture)
+        texture = {"index": self._pictures.index(picture)}
+        if repeats == (1.0, 1.0):
+            return texture
+        scale = {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}
+        return {**texture, "extensions": self._extension(TRANSFORM, scale)}
+
+    def _extension(self, name: str, content: dict) -> dict:
+        """An entry of `extensions`; the document says that it is used."""
+        used = self.builder.document.setdefault("extensionsUsed", [])
+        used[:] = sorted({*used, name})
+        return {name: content}
