@@ -22,7 +22,7 @@ from physkin_core.cli import main as physkin
 from physkin_core.mesh.look import LIBRARY, Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.garment import Garment
-from physkin_core.picture import contact_sheet, render
+from physkin_core.pictures.picture import contact_sheet, render
 
 DRAWING = ROOT / "docs" / "blender.jpg"
 GARMENTS, LOOKS = ("trousers", "tshirt"), "tshirt"

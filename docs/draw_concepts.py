@@ -14,7 +14,7 @@ from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, Draper, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_nodes import pose_nodes
-from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, layer_colours, render
+from physkin_core.pictures.picture import BODY_COLOUR, Mesh, contact_sheet, layer_colours, render
 from physkin_core.quality import edge_strain, edge_strains
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.view.scene.heat_map import STRAIN_BANDS, Bands, parts_of

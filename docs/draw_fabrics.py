@@ -15,7 +15,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.look.cloth_look import cloth_colour, cloth_look
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
-from physkin_core.picture import CLOTH_COLOUR, contact_sheet, render
+from physkin_core.pictures.picture import CLOTH_COLOUR, contact_sheet, render
 from physkin_core.render.filming import avatar_mesh, cloth_meshes
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import load_pattern

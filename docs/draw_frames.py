@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
-from physkin_core.picture import Mesh, render
+from physkin_core.pictures.picture import Mesh, render
 from physkin_core.render.filming import dressed_meshes
 
 DRAWING = ROOT / "docs" / "frames.jpg"

@@ -24,7 +24,7 @@ from physkin_core import (
     load_motion,
 )
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
-from physkin_core.picture import Mesh, contact_sheet, render
+from physkin_core.pictures.picture import Mesh, contact_sheet, render
 from physkin_core.render.film_files import write_film
 from physkin_core.render.filming import draw_strip, dressed_meshes
 from physkin_training.sampling.chosen_bodies import bodies_by_girth

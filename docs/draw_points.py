@@ -13,7 +13,7 @@ from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, SplatDraper, Splats, load_avatar, load_garment_model, load_motion
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.picture import Mesh, contact_sheet, render
+from physkin_core.pictures.picture import Mesh, contact_sheet, render
 
 DRAWING = ROOT / "docs" / "points.jpg"
 MOTION, FRAMES = "dance", (0, 30, 60)

@@ -13,7 +13,7 @@ from import_graph import ROOT
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment_model import Material
-from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, contact_sheet, render
 from physkin_core.render.filming import avatar_mesh
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import load_pattern

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from import_graph import ROOT
 from physkin_core import Outfit, WornGarment, load_body_model, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.picture import Mesh, contact_sheet, render
+from physkin_core.pictures.picture import Mesh, contact_sheet, render
 from physkin_core.render.film_files import write_film
 from physkin_core.render.filming import dressed_meshes
 from physkin_training.dynamics.reference import Reference, load_reference

@@ -24,7 +24,7 @@ from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
 from physkin_core.outfit.outfit_options import add_options, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
-from physkin_core.picture import PictureError, render, save_png
+from physkin_core.pictures.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
 from physkin_core.separation.limb_separator import separated_motion
 

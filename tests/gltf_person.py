@@ -10,7 +10,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_builder import GltfBuilder, write_glb
 from physkin_core.model.garment import vertex_normals
-from physkin_prepare.gltf_export import skinned_document
+from physkin_prepare.avatar import skinned_document
 
 BODY = load_body_model()
 RIG = BODY.rig

@@ -27,7 +27,7 @@ from physkin_core.file_reading import ContentError, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
-from physkin_core.mesh.gltf_opacity import seen_faces, shows_through
+from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
 

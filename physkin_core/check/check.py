@@ -130,7 +130,7 @@ def _print(report: dict) -> None:
 
 def _draw(path: Path, outfit: Outfit, poses: np.ndarray, downs: Sequence[np.ndarray]) -> None:
     """The outfit in four everyday poses, upright, in the avatar's own colours."""
-    from physkin_core.picture import save_png
+    from physkin_core.pictures.picture import save_png
     from physkin_core.render.filming import draw_figures, dressed_meshes
 
     figures = []

@@ -6,7 +6,6 @@ Dimensions: `T` frames, `b` bones, `m` garment nodes, `n` vertices of a garment,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,8 +75,8 @@ def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
         bones=np.array(bones),
         body_shown=np.concatenate([~body_hidden, np.ones(accessories, dtype=bool)]),
         garments=tuple(
-            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), np.array(each), moved, np.array(turned))
-            for layer, bound, hidden, each, moved, turned in zip(layers, skinned, always.cloth, nodes, added, normals)
+            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded))
+            for layer, bound, hidden, *recorded in zip(layers, skinned, always.cloth, nodes, added, normals)
         ),
     )
 
@@ -105,24 +104,20 @@ def _shown(
     bound: BoundGarment,
     shown: np.ndarray,
     node_transforms: np.ndarray,
-    added: Iterable[tuple[np.ndarray, np.ndarray]],
+    added: np.ndarray,
     normals: np.ndarray,
 ) -> DrapedGarment:
-    """A garment of which some faces are shown, and their vertices. added: to the whole one's, of each frame; normals:
-    (T, n, 3) that they should have before skinning, none without detail."""
+    """A garment of which some faces are shown, and their vertices. added: (T, n, 3) to the whole one's in each frame;
+    normals: (T, n, 3) that they should have before skinning, none without detail."""
     visible, faces = np.unique(bound.faces[shown], return_inverse=True)
-    kept = []
-    for indices, values in added:
-        of = np.isin(indices, visible)
-        kept.append((np.searchsorted(visible, indices[of]), values[of]))
     given = bound.of_vertices(visible, faces.reshape(-1, 3).astype(np.int32))
-    morphs = in_few_targets(kept)
+    morphs, offset, left = in_few_targets(added[:, visible])
     lacking = [
-        np.linalg.norm(np.einsum("vij,vj->vi", _blended(given, nodes, morphs.moved)[..., :3], left), axis=1)
-        for nodes, left in zip(node_transforms, morphs.lacking)
+        np.linalg.norm(np.einsum("vij,vj->vi", _blended(given, nodes, morphs.moved)[..., :3], each), axis=1)
+        for nodes, each in zip(node_transforms, left)
     ]
     vertices = given.vertices.copy()
-    vertices[morphs.moved] += morphs.offset.astype(np.float32)
+    vertices[morphs.moved] += offset.astype(np.float32)
     given = replace(given, vertices=vertices)
     if len(normals):
         given = replace(given, normals=vertex_normals(vertices, given.faces))

@@ -21,17 +21,15 @@ from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, strongest_influences, write_glb
 from physkin_core.export.gltf_scene import GltfScene, in_gltf_frame
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.look.cloth_look import ClothLook, cloth_colours
-from physkin_core.look.finishing import Finish
+from physkin_core.look.cloth_look import cloth_colours
+from physkin_core.mesh.finishing import Finish
 from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Surface, linear, surfaces_of
-from physkin_core.model.garment import vertex_normals
+from physkin_core.mesh.surfaces import parts_of
 from physkin_core.model.skinning import unit
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 from physkin_core.rig.rig import Rig
-from physkin_core.runtime.layer import Layer
 
 __all__ = ["write_gltf_motion"]
 
@@ -39,29 +37,25 @@ TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
 
 
-def write_gltf_motion(
-    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
-) -> list[str]:
+def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None]) -> list[str]:
     """Write avatar and garments in motion as one .glb, the root where the motion has it. Returns what it cannot show, a
     sentence each.
 
     outfit: as of `drape_clip`; what no frame shows is left out. looks: of all faces of
-    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; default a colour each. What
+    `outfit.body_to_draw`, as of `avatar_look`, and of each garment, as of `garment_looks`; None for a colour. What
     finishes a garment, stitches and hems, are meshes on its skin.
     Raises OSError when it cannot be written.
     """
     clip = drape_clip(outfit, motion)
-    looks = looks or [None] * (1 + len(outfit.layers))
     scene = _Scene(motion.name or path.stem, motion.times)
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
-    scene.add_avatar(
-        outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, _of_faces(looks[0], clip.body_shown)
-    )
+    scene.add_avatar(outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, looks[0])
     colours = cloth_colours(outfit.garments)
     for garment, layer, colour, look in zip(clip.garments, outfit.layers, colours, looks[1:]):
         if garment.shown.any():
-            scene.add_garment(garment, root, colour, _of_faces(look, garment.shown), _finishes(look, garment, layer))
-    write_glb(path, scene.finished())
+            own = None if look is None else look.of_faces(garment.shown, layer.faces)
+            scene.add_garment(garment, root, colour, own)
+    write_glb(path, scene.builder)
     return [warning for garment in clip.garments for warning in _not_shown(garment)]
 
 
@@ -83,22 +77,6 @@ def _not_shown(garment: DrapedGarment) -> list[str]:
         "frames, where morph targets cannot keep the order of layers: what lies beneath may show there; a .usdc has it "
         "exactly"
     ]
-
-
-def _of_faces(look: Look | None, shown: np.ndarray) -> Look | None:
-    """The look of those faces alone."""
-    return None if look is None else look.of_corners(np.arange(3 * len(shown)).reshape(-1, 3)[shown])
-
-
-def _finishes(look: Look | None, garment: DrapedGarment, layer: Layer) -> list[tuple[Finish, Surface]]:
-    """What finishes those faces of a garment that are shown, on their own vertices."""
-    if not isinstance(look, ClothLook):
-        return []
-    used = np.unique(layer.faces[garment.shown])
-    vertex = np.full(layer.vertex_count, -1)
-    vertex[used] = np.arange(len(used))
-    found = [(finish.of_faces(garment.shown, vertex), surface) for finish, surface in look.finishes]
-    return [each for each in found if len(each[0].faces)]
 
 
 class _Scene(GltfScene):
@@ -123,8 +101,7 @@ class _Scene(GltfScene):
     def add_avatar(
         self, avatar: Avatar, rig: Rig, bones: np.ndarray, shown: np.ndarray, root: int, look: Look | None
     ) -> None:
-        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; shown: (F,) bool of its faces; look: of
-        these."""
+        """The body on its skeleton. bones: (T, b, 3, 4) canonical to posed; shown: (F,) bool of its faces."""
         heads = avatar.bone_heads.astype(np.float64)
         turned = bones[..., :3].astype(np.float64)
         posed = np.einsum("tbij,bj->tbi", turned, heads) + bones[..., 3]
@@ -142,20 +119,12 @@ class _Scene(GltfScene):
                 translation=place[:, None],
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
             )
-        cloud = np.concatenate([avatar.vertices, vertex_normals(avatar.vertices, avatar.faces)], axis=1)
-        skin = self.add_skin("body", range(first, first + len(heads)), heads)
-        joints, weights = strongest_influences(avatar.influence_bones, avatar.influence_weights)
-        influences, faces = {"JOINTS_0": joints, "WEIGHTS_0": weights}, avatar.faces[shown]
-        surfaces = surfaces_of(look, "body", linear(BODY_COLOUR), len(faces))
-        self.add_mesh("body", cloud, faces, look, surfaces, attributes=influences, skin=skin)
+        own = None if look is None else look.of_faces(shown, avatar.faces)
+        (part,) = parts_of(own, "body", BODY_COLOUR, avatar.faces[shown])
+        self.add_body(avatar, part, skin=self.add_skin("body", range(first, first + len(heads)), heads))
 
     def add_garment(
-        self,
-        garment: DrapedGarment,
-        root: int,
-        colour: tuple[float, float, float],
-        look: Look | None,
-        finishes: Sequence[tuple[Finish, Surface]],
+        self, garment: DrapedGarment, root: int, colour: tuple[float, float, float], look: Look | None
     ) -> None:
         """A garment on its garment nodes. colour: sRGB, of what has no material."""
         name, bound = garment.name, garment.given
@@ -171,16 +140,12 @@ class _Scene(GltfScene):
         joints, weights = strongest_influences(bound.influence_nodes, bound.influence_weights)
         cloud = np.concatenate([bound.vertices, unit(bound.normals)], axis=1)
         morphs = garment.morphs if len(garment.morphs.targets) else None
-        surfaces = surfaces_of(look, name, linear(colour), len(bound.faces))
-        meshes = [(name, cloud, bound.faces, look, surfaces, np.arange(len(cloud)), morphs)]
-        for k, (finish, surface) in enumerate(finishes):
-            whole, places = replace(surface, faces=np.arange(len(finish.faces))), Look.with_places(finish.places)
-            own = None if morphs is None else _finished(morphs, finish)
-            finished = f"{name}_finish_{k}", finish.on(cloud), finish.faces, places, [whole], finish.vertices, own
-            meshes.append(finished)
-        for *mesh, vertices, changes in meshes:
+        for part in parts_of(look, name, colour, bound.faces):
+            vertices, changes = slice(None), morphs
+            if part.finish is not None:
+                vertices, changes = part.finish.vertices, None if morphs is None else _finished(morphs, part.finish)
             influences = {"JOINTS_0": joints[vertices], "WEIGHTS_0": weights[vertices]}
-            self.add_mesh(*mesh, attributes=influences, morphs=changes, skin=skin)
+            self.add_mesh(part, part.on(cloud), attributes=influences, morphs=changes, skin=skin)
             if changes is not None:
                 self._animate(len(self.nodes) - 1, "weights", changes.weights.astype(np.float32).reshape(-1))
 

@@ -5,7 +5,6 @@ Dimensions: `T` frames, `v` vertices, `u` of them moved, `K` morph targets. Metr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,16 +22,14 @@ DAMPING = 1e-3
 
 @dataclass(frozen=True)
 class MorphTargets:
-    """moved: (u,) indices of vertices. offset: (u, 3) of these. targets: (K, u, 3) what a weight of 1 adds to that.
-    weights: (T, K) from 0 to 1, as Blender wants them; resting: (K,) those that make up the mean. lacking: (T, u, 3)
-    what is still to be added. turns: (K, u, 3) what a weight of 1 adds to normals, where these are to change."""
+    """moved: (u,) indices of vertices. targets: (K, u, 3) what a weight of 1 adds to these. weights: (T, K) from 0 to
+    1, as Blender wants them; resting: (K,) those that make up the mean. turns: (K, u, 3) what a weight of 1 adds to
+    normals, where these are to change."""
 
     moved: np.ndarray
-    offset: np.ndarray
     targets: np.ndarray
     weights: np.ndarray
     resting: np.ndarray
-    lacking: np.ndarray
     turns: np.ndarray | None = None
 
     def with_turns(self, normals: np.ndarray, wanted: np.ndarray) -> MorphTargets:
@@ -46,44 +43,38 @@ class MorphTargets:
         """The same for vertices (w,) of these, some repeated."""
         moved = np.flatnonzero(np.isin(vertices, self.moved))
         of = np.searchsorted(self.moved, vertices[moved])
-        per_vertex = {"offset": self.offset[of], "targets": self.targets[:, of], "lacking": self.lacking[:, of]}
         turns = None if self.turns is None else self.turns[:, of]
-        return replace(self, moved=moved, turns=turns, **per_vertex)
+        return replace(self, moved=moved, targets=self.targets[:, of], turns=turns)
 
 
-def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is to be added to rest vertices (v, 3) so that skinning them by matrices (v, 3, 4) gives those wanted
-    (v, 3): indices (k,) of vertices where that is anything, and (k, 3)."""
+def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(v, 3) what is to be added to rest vertices (v, 3) so that skinning them by matrices (v, 3, 4) gives those wanted
+    (v, 3); 0 where they are there already."""
     apart = wanted - np.einsum("vij,vj->vi", matrices[..., :3], rest) - matrices[..., 3]
     moved = np.flatnonzero(np.linalg.norm(apart, axis=1) > STILL)
     linear = matrices[moved, :, :3]
     squared = np.einsum("vji,vjk->vik", linear, linear) + DAMPING * np.eye(3)
-    return moved, np.linalg.solve(squared, np.einsum("vji,vj->vi", linear, apart[moved])[..., None])[..., 0]
+    added = np.zeros_like(apart)
+    added[moved] = np.linalg.solve(squared, np.einsum("vji,vj->vi", linear, apart[moved])[..., None])[..., 0]
+    return added
 
 
-def in_few_targets(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> MorphTargets:
-    """An offset, and as few targets as come close to what is added in all frames: indices (k,) and (k, 3) of each, as
-    of `unskinned`. Targets are principal components of what is not the mean."""
-    moved = np.unique(np.concatenate([indices for indices, _ in frames]))
-    added = np.zeros((len(frames), len(moved), 3))
-    for frame, (indices, values) in zip(added, frames):
-        frame[np.searchsorted(moved, indices)] = values
+def in_few_targets(added: np.ndarray) -> tuple[MorphTargets, np.ndarray, np.ndarray]:
+    """As few targets as come close to what is added to vertices in all frames, (T, v, 3), as of `unskinned`; besides
+    them an offset (u, 3) at rest; and what is still lacking, (T, u, 3). Targets are principal components of what is not
+    the mean."""
+    moved = np.flatnonzero(added.any(axis=(0, 2)))
+    added = added[:, moved]
     mean = added.mean(axis=0)
     lacking = added - mean
-    flat = lacking.reshape(len(frames), -1)
+    flat = lacking.reshape(len(added), -1)
     amounts = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]  # frames are fewer than coordinates
-    count, directions = 0, np.empty((min(MOST_TARGETS, len(frames)), *mean.shape))
+    count, directions = 0, np.empty((min(MOST_TARGETS, len(added)), *mean.shape))
     while count < len(directions) and np.linalg.norm(lacking, axis=2).max(initial=0) > ENOUGH:
         directions[count] = np.tensordot(amounts[:, count], lacking, 1)
         lacking -= amounts[:, count, None, None] * directions[count]
         count += 1
     amounts, directions = amounts[:, :count], directions[:count]
     least, spans = amounts.min(axis=0), np.ptp(amounts, axis=0)
-    return MorphTargets(
-        moved=moved,
-        offset=mean + np.einsum("k,kui->ui", least, directions),
-        targets=directions * spans[:, None, None],
-        weights=(amounts - least) / spans,
-        resting=-least / spans,
-        lacking=lacking,
-    )
+    morphs = MorphTargets(moved, directions * spans[:, None, None], (amounts - least) / spans, -least / spans)
+    return morphs, mean + np.einsum("k,kui->ui", least, directions), lacking

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.look.cloth_look import ClothLook, cloth_colours
+from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look
-from physkin_core.mesh.surfaces import Picture, Surface, linear, surfaces_of
+from physkin_core.mesh.surfaces import Part, Picture, Surface, parts_of
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, UsdShade
@@ -23,14 +22,12 @@ if TYPE_CHECKING:
 __all__ = ["write_usd_motion"]
 
 
-def write_usd_motion(
-    path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] | None = None
-) -> list[str]:
+def write_usd_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None]) -> list[str]:
     """Write avatar and garments in motion as .usd or .usdc: meshes under a moving root, metres, Z up, with all
     points at each frame. Returns sentences on what it cannot show: none, as it shows all.
 
-    looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; default
-    a colour each. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
+    looks: of the body's faces that are shown, as of `avatar_look`, and of each garment, as of `garment_looks`; None
+    for a colour. Their pictures are written into a folder beside the file, `walk_pictures` for `walk.usdc`.
     Raises ModuleNotFoundError without usd-core, OSError when it cannot be written.
     """
     from pxr import Gf, Usd, UsdGeom
@@ -49,28 +46,18 @@ def write_usd_motion(
     colours = [BODY_COLOUR, *cloth_colours(outfit.garments)]
     names = _as_identifiers(["body", *(layer.name for layer in outfit.layers)])
     faces = [outfit.body_to_draw.faces[outfit.faces_to_draw], *(layer.faces for layer in outfit.layers)]
-    meshes, finished = [], []
-    looks = looks or [None] * (1 + len(outfit.layers))
-    for name, triangles, colour, look in zip(names, faces, colours, looks):
-        mesh = _mesh(stage, name, triangles, colour)
-        _paint(mesh, look, surfaces_of(look, name, linear(colour), len(triangles)), path)
-        meshes.append(mesh)
-        finishes = look.finishes if isinstance(look, ClothLook) else ()
-        own = [_mesh(stage, f"{name}_finish_{k}", finish.faces, colour) for k, (finish, _) in enumerate(finishes)]
-        for part, (finish, surface) in zip(own, finishes):
-            whole = replace(surface, faces=np.arange(len(finish.faces)))
-            _paint(part, Look.with_places(finish.places), [whole], path)
-        finished.append([(part, finish) for part, (finish, _) in zip(own, finishes)])
+    meshes = [
+        [(_mesh(stage, part, colour, path), part) for part in parts_of(look, name, colour, triangles)]
+        for name, triangles, colour, look in zip(names, faces, colours, looks)
+    ]
     rig = outfit.rig
     outfit.reset()
     for frame, (positions, time, root_now) in enumerate(zip(motion.positions_for(rig), motion.times, motion.root)):
         clouds = outfit.drape(positions, time=time, root=root_now)
         body = outfit.posed_body(positions)
-        for mesh, parts, points in zip(meshes, finished, [body, *clouds]):
-            points = np.ascontiguousarray(points, dtype=np.float32)
-            _move(mesh, points, frame)
-            for part, finish in parts:
-                _move(part, finish.on(points), frame)
+        for parts, points in zip(meshes, [body, *clouds]):
+            for mesh, part in parts:
+                _move(mesh, np.ascontiguousarray(part.on(points), dtype=np.float32), frame)
         x, y, z, w = map(float, motion.root_orientation[frame])
         turn.Set(Gf.Quatf(w, x, y, z), frame)
         place.Set(Gf.Vec3d(*map(float, motion.root_position[frame])), frame)
@@ -79,17 +66,18 @@ def write_usd_motion(
     return []
 
 
-def _mesh(stage: Usd.Stage, name: str, triangles: np.ndarray, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
+def _mesh(stage: Usd.Stage, part: Part, colour: tuple[float, float, float], path: Path) -> UsdGeom.Mesh:
     """Without points yet. colour: sRGB, for what shows no materials."""
     from pxr import Gf, UsdGeom
 
-    mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{name}")
-    mesh.CreateFaceVertexCountsAttr(np.full(len(triangles), 3, dtype=np.int32))
-    mesh.CreateFaceVertexIndicesAttr(triangles.reshape(-1).astype(np.int32))
+    mesh = UsdGeom.Mesh.Define(stage, f"/avatar/{part.name}")
+    mesh.CreateFaceVertexCountsAttr(np.full(len(part.faces), 3, dtype=np.int32))
+    mesh.CreateFaceVertexIndicesAttr(part.faces.reshape(-1).astype(np.int32))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*colour)])
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    _paint(mesh, part.look, part.surfaces, path)
     return mesh
 
 

@@ -23,7 +23,7 @@ from physkin_core.loader.requests import (
     MotionRequest,
     OutfitRequest,
 )
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, model_content, split_fabric
 from physkin_core.motion.loading import load_motion

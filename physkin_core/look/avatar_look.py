@@ -1,4 +1,5 @@
-"""The look of an avatar by its own file: glTF, VRM and OBJ. It is read when somebody looks, not with the body.
+"""The look of an avatar by its own file, glTF, VRM or OBJ, and one colour a face of it, for what draws no textures. It
+is read when somebody looks, not with the body.
 
 Dimensions: `f` faces of the avatar.
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +21,12 @@ from physkin_core.formats.gltf_scene import drawn_primitives
 from physkin_core.mesh.gltf_look import gltf_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
-from physkin_core.mesh.surfaces import readable
+from physkin_core.mesh.picture_samples import sampled_picture
+from physkin_core.mesh.surfaces import Surface, readable, surfaces_of
 from physkin_core.model.garment import GarmentError
+from physkin_core.pictures.picture import BODY_COLOUR, pillow
 
-__all__ = ["avatar_look"]
+__all__ = ["avatar_colours", "avatar_look"]
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +54,35 @@ def avatar_look(avatar: Avatar, faces: np.ndarray | slice = slice(None)) -> Look
     except (AvatarError, GarmentError) as error:
         log.warning("an avatar's materials cannot be read: %s", error)
         return None
+
+
+@lru_cache(maxsize=4)  # a film asks for the same avatar in every frame
+def avatar_colours(avatar: Avatar) -> np.ndarray | None:
+    """(f, 3) sRGB in [0, 1] of an avatar's faces by its own file; None where that has no materials. A damaged picture
+    is left out and logged.
+
+    Raises PictureError where pictures need pillow.
+    """
+    look = avatar_look(avatar)
+    if look is None:
+        return None
+    found = np.empty((len(look.material), 3))
+    for surface in surfaces_of(look, "plain", BODY_COLOUR, len(found)):
+        found[surface.faces] = surface.colour * _picture_colours(surface, look.uv[surface.faces])
+    return found ** (1 / 2.2)
+
+
+def _picture_colours(surface: Surface, uv: np.ndarray) -> np.ndarray:
+    """(k, 3) linear RGB of faces with texture coordinates (k, 3, 2); ones without a picture."""
+    if surface.picture is None:
+        return np.ones((len(uv), 3))
+    pillow()
+    try:
+        samples = sampled_picture(surface.picture.content, uv * surface.repeats, "RGB")
+    except Exception as error:  # whatever pillow trips over: damaged files, some too large
+        log.warning("picture %s is left out: %s", surface.picture.name, error)
+        return np.ones((len(uv), 3))
+    return (samples**2.2).mean(axis=0)
 
 
 def _obj_look(path: Path, warn: Callable[[str], None]) -> Look:

@@ -16,19 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.look.finishing import Finish, stitching, turned_up
+from physkin_core.mesh.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.look import LIBRARY, Look
 from physkin_core.mesh.surfaces import Picture, Surface, surfaces_of
 from physkin_core.mesh.tiles_seen import colours_seen
 from physkin_core.model.fabric import COLOURS, split_colour
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import SkinnedGarment
-from physkin_core.picture import layer_colours
+from physkin_core.pictures.picture import layer_colours
 
 __all__ = [
     "CLOTHS",
     "Cloth",
-    "ClothLook",
     "Colour",
     "cloth_colour",
     "cloth_colours",
@@ -121,32 +120,22 @@ def cloth_colours(garments: Sequence[SkinnedGarment]) -> list[Colour]:
     return [cloth_colour(garment.fabric, colour) for garment, colour in zip(garments, usual)]
 
 
-@dataclass(frozen=True)
-class ClothLook(Look):
-    """The look of cloth, and what finishes the garment, each with its material: stitches, and hems turned up."""
-
-    finishes: tuple[tuple[Finish, Surface], ...] = ()
-
-
-def cloth_look(mesh: Garment, fabric: str, faces: np.ndarray, colour: Colour) -> ClothLook | None:
+def cloth_look(mesh: Garment, fabric: str, faces: np.ndarray, colour: Colour) -> Look | None:
     """The look of some faces, a mask (f,), of a garment made of a fabric, as `with_fabric` takes it, in a colour, and
     finishes on these faces' own vertices; None for a garment that was not cut flat: nobody knows where its grain
     runs."""
     if mesh.panel_places is None or mesh.panel_faces is None:
         return None
-    uv = mesh.panel_places[mesh.panel_faces[faces]]
+    uv = mesh.panel_places[mesh.panel_faces]
     cloth = cloth_of(fabric)
     files = _cloth_files(cloth, colour)
-    look = ClothLook(uv, np.zeros(len(uv), dtype=int), np.full(len(uv), -1), (cloth.tile,), (), files)
+    look = Look(uv, np.zeros(len(uv), dtype=int), np.full(len(uv), -1), (cloth.tile,), (), files)
     (surface,) = surfaces_of(look, cloth.tile, (1.0, 1.0, 1.0), len(uv))
-    used = np.unique(mesh.faces[faces])
-    vertex = np.full(len(mesh.vertices), -1)
-    vertex[used] = np.arange(len(used))
     finishes = [
-        (finish.of_faces(faces, vertex), surface if name is None else _stitch_surface(name, cloth, colour))
+        (finish, surface if name is None else _stitch_surface(name, cloth, colour))
         for name, finish in _finishes(mesh, cloth)
     ]
-    return replace(look, finishes=tuple(each for each in finishes if len(each[0].faces)))
+    return replace(look, finishes=tuple(finishes)).of_faces(faces, mesh.faces)
 
 
 @lru_cache(maxsize=16)  # a film asks in every frame
@@ -154,7 +143,7 @@ def _finishes(mesh: Garment, cloth: Cloth) -> list[tuple[str | None, Finish]]:
     """Of a whole garment, with the pictures of those that are stitches."""
     lines = stitching(mesh, LIFT)
     hem = turned_up(mesh, HEM_DEPTH, cloth.thickness)
-    return [(None, hem), ("seam", lines.seams), (cloth.felled, lines.felled), (cloth.hem, lines.hems)]
+    return [(None, hem), ("seam", lines["seams"]), (cloth.felled, lines["felled"]), (cloth.hem, lines["hems"])]
 
 
 @lru_cache(maxsize=64)

@@ -1,1 +1,1 @@
-"""Meshes with their look: texture coordinates, materials, pictures and parts, of garments and avatars alike."""
+"""Meshes with their look, of garments and avatars alike: texture places, materials, pictures, parts, stitches, hems."""

@@ -8,10 +8,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from physkin_core.mesh.finishing import Finish
 from physkin_core.quality import closest_points
+
+if TYPE_CHECKING:
+    from physkin_core.mesh.surfaces import Surface
 
 __all__ = ["LIBRARY", "Look", "MaterialLibrary", "few_colours", "picture_kind"]
 
@@ -27,7 +32,7 @@ class Look:
     """What a mesh has besides its shape. uv: (f, 3, 2) of each corner, NaN for none, origin at the lower left.
 
     material, part: (f,) indices into `materials` and `parts`, names; -1 for none. files: by name what is written beside
-    the mesh, the material library and its pictures.
+    the mesh, the material library and its pictures. finishes: stitches and hems, each with its material.
     """
 
     uv: np.ndarray
@@ -36,6 +41,7 @@ class Look:
     materials: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
     files: dict[str, bytes] = field(default_factory=dict)
+    finishes: tuple[tuple[Finish, Surface], ...] = ()
 
     @classmethod
     def plain(cls, f: int) -> Look:
@@ -61,10 +67,17 @@ class Look:
         return Look(uv, self.material[closest], self.part[closest], self.materials, self.parts, self.files)
 
     def of_corners(self, corners: np.ndarray) -> Look:
-        """The look of faces by the numbers (f, 3) of their corners here, three a face, some left out or turned over."""
+        """The look of faces by the numbers (f, 3) of their corners here, three a face, some left out or turned over;
+        without finishes."""
         face = corners[:, 0] // 3
         uv = self.uv.reshape(-1, 2)[corners]
         return Look(uv, self.material[face], self.part[face], self.materials, self.parts, self.files)
+
+    def of_faces(self, chosen: np.ndarray, faces: np.ndarray) -> Look:
+        """The look of some of the mesh's faces (f, 3), a mask (f,), and of the vertices that these use."""
+        own = self.of_corners(np.arange(faces.size).reshape(-1, 3)[chosen])
+        finishes = [(finish.of_faces(chosen, faces), surface) for finish, surface in self.finishes]
+        return replace(own, finishes=tuple(each for each in finishes if len(each[0].faces)))
 
     def __str__(self) -> str:
         """What there is, in words."""
@@ -87,13 +100,14 @@ class MaterialLibrary:
         """A name in letters, digits, underscores, points and dashes, which is that of a file, too."""
         return re.sub(r"[^\w.-]+", "_", name)
 
-    def add(self, name: str, colour: Sequence[float], picture: bytes | None, *, suffix: str) -> int:
-        """Its number in `names`. name: plain, and new. colour: linear RGB. picture: a file of that suffix."""
+    def add(self, name: str, colour: Sequence[float], picture: bytes | None) -> int:
+        """Its number in `names`. name: plain, and new. colour: linear RGB. picture: a PNG or JPEG."""
         self.names.append(name)
         text = f"newmtl {name}\nKd " + " ".join(f"{value:.4f}" for value in colour) + "\n"
         if picture is not None:
-            self.files[f"{name}.{suffix}"] = picture
-            text += f"map_Kd {name}.{suffix}\n"
+            file = f"{name}.{'jpg' if picture_kind(picture) == 'image/jpeg' else 'png'}"
+            self.files[file] = picture
+            text += f"map_Kd {file}\n"
         self.files[LIBRARY] = self.files.get(LIBRARY, b"") + text.encode()
         return len(self.names) - 1
 

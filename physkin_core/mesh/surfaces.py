@@ -10,20 +10,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from physkin_core.file_reading import shown
+from physkin_core.mesh.finishing import Finish
 from physkin_core.mesh.look import LIBRARY, Look, picture_kind
 
 __all__ = [
-    "ROUGHNESS",
+    "Part",
     "Picture",
     "Surface",
-    "linear",
+    "parts_of",
     "readable",
     "split_at_seams",
     "surfaces_of",
@@ -66,19 +67,39 @@ class Surface:
     blended: bool = False
 
 
-def linear(colour: tuple[float, float, float]) -> tuple[float, ...]:
-    """Linear RGB of sRGB, both in [0, 1]."""
-    return tuple(float(channel) ** 2.2 for channel in colour)
+@dataclass(frozen=True)
+class Part:
+    """What a file has as one mesh: a mesh with its look, or what finishes it, on vertices of its own. faces: (k, 3)."""
+
+    name: str
+    faces: np.ndarray
+    look: Look | None
+    surfaces: Sequence[Surface]
+    finish: Finish | None = None
+
+    def on(self, cloud: np.ndarray) -> np.ndarray:
+        """(w, 6) positions and normals of its vertices. cloud: the mesh's."""
+        return cloud if self.finish is None else self.finish.on(cloud)
 
 
-def surfaces_of(look: Look | None, name: str, colour: tuple[float, ...], count: int) -> list[Surface]:
-    """Materials that cover a mesh's `count` faces. name, colour: of faces without one, or all without a look."""
+def parts_of(look: Look | None, name: str, colour: tuple[float, float, float], faces: np.ndarray) -> list[Part]:
+    """A mesh and what finishes it. name, colour: sRGB, of faces (f, 3) without a material, or all without a look."""
+    found = [Part(name, faces, look, surfaces_of(look, name, colour, len(faces)))]
+    for k, (finish, surface) in enumerate(() if look is None else look.finishes):
+        whole = replace(surface, faces=np.arange(len(finish.faces)))
+        found.append(Part(f"{name}_finish_{k}", finish.faces, Look.with_places(finish.places), [whole], finish))
+    return found
+
+
+def surfaces_of(look: Look | None, name: str, colour: tuple[float, float, float], count: int) -> list[Surface]:
+    """Materials that cover a mesh's `count` faces. name, colour: sRGB, of faces without one, or all without a look."""
+    linear = tuple(float(channel) ** 2.2 for channel in colour)
     material = np.full(count, -1) if look is None else look.material
     library = {} if look is None else _materials(look)
     found = []
     for index in np.unique(material):
         faces = np.flatnonzero(material == index)
-        own = Surface(name, colour, faces) if index < 0 else library[look.materials[index]]
+        own = Surface(name, linear, faces) if index < 0 else library[look.materials[index]]
         found.append(replace(own, faces=faces))
     return found
 

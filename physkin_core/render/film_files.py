@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.output_file import check_folder
-from physkin_core.picture import pillow, save_png
+from physkin_core.pictures.picture import pillow, save_png
 
 __all__ = ["FILM_KINDS", "check_film", "write_film"]
 

@@ -12,13 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.look.cloth_look import ClothLook, cloth_colours, cloth_look, seen_from_afar
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours
+from physkin_core.look.cloth_look import cloth_colours, cloth_look, seen_from_afar
+from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.model.garment import vertex_normals
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.picture import BODY_COLOUR, Mesh, contact_sheet, render
+from physkin_core.pictures.picture import BODY_COLOUR, Mesh, contact_sheet, render
 from physkin_core.progress import Watch
 
 __all__ = [
@@ -110,7 +111,7 @@ def dressed_meshes(outfit: Outfit, body: np.ndarray, cloth: Sequence[np.ndarray]
     return [skin, *worn]
 
 
-def cloth_meshes(look: ClothLook, points: np.ndarray, faces: np.ndarray) -> list[Mesh]:
+def cloth_meshes(look: Look, points: np.ndarray, faces: np.ndarray) -> list[Mesh]:
     """A garment as its fabric looks, with stitches and hems. points: (v, 3) [m]. faces: (f, 3) of these."""
     (cloth,) = surfaces_of(look, "cloth", (1.0, 1.0, 1.0), len(faces))
     normals = vertex_normals(points, faces)

@@ -13,7 +13,6 @@ import numpy as np
 
 from physkin_core.export.gltf_still import still_glb
 from physkin_core.look.cloth_look import cloth_look, seen_from_afar
-from physkin_core.render.filming import cloth_meshes
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
@@ -74,7 +73,7 @@ class Drawing:
             for k, (layer, points, colour) in enumerate(zip(frame.outfit.layers, frame.cloth, frame.colours[1:])):
                 look = cloth_look(layer.model.garment, layer.model.fabric, layer.face_visible, colour)
                 if look is not None:  # only of cloth that was cut flat
-                    content = still_glb(cloth_meshes(look, points[:, :3], layer.faces))
+                    content = still_glb(look, points, layer.faces)
                     name, how = f"/world/figure/fabric{k}", {"wxyz": FROM_GLTF, "receive_shadow": False}
                     self._still.append(self._scene.add_glb(name, content, **how))
                     self._surfaces[1 + k].remove()

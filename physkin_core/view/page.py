@@ -16,7 +16,7 @@ from typing import Literal
 
 from physkin_core.extras import install_command
 from physkin_core.file_reading import sentence
-from physkin_core.picture import PictureError
+from physkin_core.pictures.picture import PictureError
 from physkin_core.view.visitors import only_visitors
 
 __all__ = ["FRAMES_A_SECOND", "Page", "Readout"]

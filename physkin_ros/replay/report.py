@@ -19,7 +19,7 @@ from tabulate import tabulate
 
 from physkin_core import Draper
 from physkin_core.extras import install_command
-from physkin_core.picture import PictureError, render, save_png
+from physkin_core.pictures.picture import PictureError, render, save_png
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.replay.figures import LABELS, summary
 from physkin_ros.replay.replay import Replay

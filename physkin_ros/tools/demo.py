@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from physkin_core import BUNDLED_AVATAR, Motion, Outfit, load_avatar, load_motion
 from physkin_core.machine import machine_line
 from physkin_core.outfit.outfit_options import add_options, chosen_garments
-from physkin_core.picture import contact_sheet, render, save_png
+from physkin_core.pictures.picture import contact_sheet, render, save_png
 from physkin_core.progress import progress_line
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.arguments import file_to_write, positive

@@ -21,7 +21,7 @@ from physkin_core.file_reading import sentence, shown
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import LoadedAvatar
 from physkin_core.outfit.dressing import MOST_LAYERS
-from physkin_core.picture import BODY_COLOUR, layer_colours
+from physkin_core.pictures.picture import BODY_COLOUR, layer_colours
 from physkin_core.view.page import Page, Readout
 from physkin_core.view.scene.heat_map import as_bytes, own_bands
 from physkin_core.view.surface_node import SurfaceNode

@@ -62,7 +62,7 @@ def rough_minima(monkeypatch):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """As without the [view] extra."""
-    from physkin_core.picture import PictureError
+    from physkin_core.pictures.picture import PictureError
     from physkin_training.fit_garment import pictures
 
     def render(*_, **__):

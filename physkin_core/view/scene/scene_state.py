@@ -23,7 +23,7 @@ from physkin_core.motion.motion import Motion
 from physkin_core.outfit.coverage import OwnClothes
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import named_garments
-from physkin_core.picture import BODY_COLOUR
+from physkin_core.pictures.picture import BODY_COLOUR
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.view.scene.heat_map import Colour

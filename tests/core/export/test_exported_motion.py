@@ -61,7 +61,7 @@ def whole(worn):
 def walking(tmp_path_factory, motion, whole):
     """The exported walk, read back, and its clouds."""
     path = tmp_path_factory.mktemp("walk") / "walk.glb"
-    assert write_gltf_motion(path, whole, motion) == []
+    assert write_gltf_motion(path, whole, motion, looks=[None] * 3) == []
     whole.reset()
     frames = zip(motion.positions_for(whole.rig), motion.times, motion.root)
     return Reader(path), [whole.drape(positions, time=time, root=root) for positions, time, root in frames]
@@ -117,7 +117,7 @@ def test_what_is_in_the_file_has_names(walking):
 def test_what_a_glb_cannot_show_is_told(tmp_path, motion, whole, monkeypatch):
     """Without morph targets the shirt's order is not kept: how far off it is, and what to do."""
     monkeypatch.setattr(morph_targets, "MOST_TARGETS", 0)
-    (told,) = write_gltf_motion(tmp_path / "walk.glb", whole, motion)
+    (told,) = write_gltf_motion(tmp_path / "walk.glb", whole, motion, looks=[None] * 3)
     off = rf"longsleeve is up to \d+ mm off in \d+ of {motion.frame_count} frames, .* a \.usdc has it exactly"
     assert re.match(off, told)
 

@@ -23,7 +23,6 @@ from physkin_core.mesh.surfaces import surfaces_of
 
 RATE = 5.0
 RED = (0.8, 0.05, 0.1)
-SCALED = "newmtl knit\nmap_Kd {} knit.png\nnewmtl red\nmap_Kd knit.png\n"
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +61,9 @@ def picture(kind="PNG"):
     return buffer.getvalue()
 
 
+REPEATED = f"newmtl knit\nmap_Kd -s 20 40 1 knit.png\nnewmtl red\nKd {' '.join(map(str, RED))}\n"
+
+
 def write_look(folder, model, *, library=None, files=None, vertices=None):
     """`garment.obj` of a model as fit-garment writes it: the left half is knit, with a picture, the right half red."""
     folder.mkdir(exist_ok=True)
@@ -75,8 +77,10 @@ def write_look(folder, model, *, library=None, files=None, vertices=None):
 
 
 def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn, export):
-    """Every vertex has the place of its point of the garment, twice at the seam, where both move alike."""
-    assert export(tmp_path / "walk.glb", "--materials", write_look(tmp_path / "look", shirt)) == 0
+    """Every vertex has the place of its point of the garment, twice at the seam, where both move alike; the picture is
+    as large as its material says."""
+    look = write_look(tmp_path / "look", shirt, library=REPEATED)
+    assert export(tmp_path / "walk.glb", "--materials", look) == 0
     reader, motion = Reader(tmp_path / "walk.glb"), load_motion("walk").resampled(RATE)
     frame = 2
     for k in range(frame + 1):
@@ -100,15 +104,22 @@ def test_gltf_has_the_look_and_no_seam_opens(tmp_path, shirt, worn, export):
     image = reader.file.images[reader.file.textures[knit.pbrMetallicRoughness.baseColorTexture.index].source]
     view = reader.file.bufferViews[image.bufferView]
     assert image.mimeType == "image/png"
+    transform = knit.pbrMetallicRoughness.baseColorTexture.extensions["KHR_texture_transform"]
+    assert transform["scale"] == [20, 40]
+    back, first = read_mesh(tmp_path / "walk.glb").look, read_mesh(look).look
+    scaled = back.uv[back.material == back.materials.index("knit")].reshape(-1, 2)
+    wanted = (first.uv[first.material == 0] * [20, 40]).reshape(-1, 2)
+    np.testing.assert_allclose(np.sort(scaled, axis=0), np.sort(wanted, axis=0), atol=1e-3)
     assert reader.binary[view.byteOffset : view.byteOffset + view.byteLength] == picture()
 
 
 def test_usd_has_the_look(tmp_path, shirt, export):
-    """Places by corner, materials by faces, the picture beside the file."""
+    """Places by corner, materials by faces, the picture beside the file, as large as its material says."""
     pytest.importorskip("pxr", reason="needs the extra [usd]")
     from pxr import Usd, UsdGeom, UsdShade
 
-    assert export(tmp_path / "walk.usdc", "--materials", write_look(tmp_path / "look", shirt)) == 0
+    look = write_look(tmp_path / "look", shirt, library=REPEATED)
+    assert export(tmp_path / "walk.usdc", "--materials", look) == 0
     stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
     places = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
@@ -122,24 +133,8 @@ def test_usd_has_the_look(tmp_path, shirt, export):
     files = [prim.GetAttribute("inputs:file").Get() for prim in stage.Traverse() if prim.GetName() == "UsdUVTexture"]
     assert [file.path for file in files] == ["./walk_pictures/longsleeve_knit.png"]
     assert (tmp_path / files[0].path).read_bytes() == picture()
-
-
-def test_usd_tells_materials_of_like_names_apart(tmp_path, shirt, export):
-    """Each has faces and a colour of its own, though USD would write both names as one."""
-    pytest.importorskip("pxr", reason="needs the extra [usd]")
-    from pxr import Usd, UsdGeom, UsdShade
-
-    look = write_look(tmp_path / "look", shirt, library="newmtl a b\nKd 1 0 0\nnewmtl a-b\nKd 0 1 0\n")
-    look.write_text(look.read_text().replace("usemtl knit", "usemtl a b").replace("usemtl red", "usemtl a-b"))
-    assert export(tmp_path / "walk.usdc", "--materials", look) == 0
-    stage = Usd.Stage.Open(str(tmp_path / "walk.usdc"))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/avatar/longsleeve"))
-    subsets = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
-    assert sum(len(subset.GetIndicesAttr().Get()) for subset in subsets) == len(mesh.GetFaceVertexCountsAttr().Get())
-    bound = [UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0] for subset in subsets]
-    shaders = [material.GetPrim().GetChild("UsdPreviewSurface") for material in bound]
-    colours = {tuple(shader.GetAttribute("inputs:diffuseColor").Get()) for shader in shaders}
-    assert colours == {(1, 0, 0), (0, 1, 0)}
+    (scaled,) = (prim for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d")
+    assert tuple(scaled.GetAttribute("inputs:scale").Get()) == (20, 40)
 
 
 def test_usd_names_are_unique():
@@ -157,39 +152,23 @@ def test_a_picture_is_found_after_any_options(tmp_path, shirt, options):
     assert knit.picture.content == picture()
 
 
-def test_words_of_a_library_may_stand_after_tabs(tmp_path, shirt):
-    look = read_mesh(write_look(tmp_path / "look", shirt, library="\tnewmtl\tred\nKd\t0.5\t0.25 0\n")).look
-    surfaces = {each.name: each for each in surfaces_of(look, "longsleeve", RED, len(look.material))}
-    assert surfaces["red"].colour == (0.5, 0.25, 0.0) and surfaces["knit"].colour == (1.0, 1.0, 1.0)
-
-
 @pytest.mark.parametrize(
-    "options, expected", [("-s 20 40 1", (20, 40)), ("-mm 0 1 -s 8", (8, 1)), ("-s -4 .5", (-4, 0.5))]
+    "library, expected",
+    [
+        ("newmtl knit\nmap_Kd -s 20 40 1 knit.png\n", {"repeats": (20, 40)}),
+        ("newmtl knit\nmap_Kd -mm 0 1 -s 8 knit.png\n", {"repeats": (8, 1)}),
+        ("newmtl knit\nmap_Kd -s -4 .5 knit.png\n", {"repeats": (-4, 0.5)}),
+        ("newmtl knit\nmap_Kd knit.png\n", {"repeats": (1, 1), "colour": (1, 1, 1)}),
+        ("\tnewmtl\tknit\nKd\t0.5\t0.25 0\n", {"colour": (0.5, 0.25, 0.0)}),
+        ("newmtl red\nKd 1 0 0\n", {"colour": (1, 1, 1), "picture": None}),
+    ],
 )
-def test_a_material_says_how_large_its_picture_is(tmp_path, shirt, options, expected):
-    path = write_look(tmp_path / "look", shirt, library=SCALED.format(options))
-    knit, red = surfaces_of(read_mesh(path).look, "longsleeve", RED, len(shirt.garment.faces))
-    assert knit.repeats == expected and red.repeats == (1, 1)
-
-
-def test_files_have_pictures_as_large_as_materials_say(tmp_path, shirt, export):
-    """In both: the picture is scaled, texture coordinates stay what they are."""
-    path = write_look(tmp_path / "look", shirt, library=SCALED.format("-s 20 40 1"))
-    assert export(tmp_path / "walk.glb", "--materials", path) == 0
-    textured, plain = Reader(tmp_path / "walk.glb").file.materials[-2:]
-    assert plain.pbrMetallicRoughness.baseColorTexture.extensions == {}
-    transform = textured.pbrMetallicRoughness.baseColorTexture.extensions["KHR_texture_transform"]
-    assert transform["scale"] == [20, 40]
-    back, first = read_mesh(tmp_path / "walk.glb").look, read_mesh(path).look
-    scaled = back.uv[back.material == back.materials.index("knit")].reshape(-1, 2)
-    wanted = (first.uv[first.material == 0] * [20, 40]).reshape(-1, 2)
-    np.testing.assert_allclose(np.sort(scaled, axis=0), np.sort(wanted, axis=0), atol=1e-3)
-    pxr = pytest.importorskip("pxr.Usd", reason="needs the extra [usd]")
-    assert export(tmp_path / "walk.usdc", "--materials", path) == 0
-    stage = pxr.Stage.Open(str(tmp_path / "walk.usdc"))
-    prims = [prim for prim in stage.Traverse() if prim.GetName() == "UsdTransform2d"]
-    scales = [prim.GetAttribute("inputs:scale").Get() for prim in prims]
-    assert [tuple(scale) for scale in scales] == [(20, 40)]
+def test_a_material_is_what_its_library_says(library, expected):
+    """How large its picture is, its colour; words may stand after tabs; what is not named is white."""
+    files = {LIBRARY: library.encode(), "knit.png": picture()}
+    look = Look(np.zeros((1, 3, 2)), np.zeros(1, dtype=int), np.full(1, -1), ("knit",), (), files)
+    (knit,) = surfaces_of(look, "longsleeve", RED, 1)
+    assert {key: getattr(knit, key) for key in expected} == expected
 
 
 def test_cloth_that_was_cut_flat_has_its_texture_places(tmp_path, worn):

@@ -25,7 +25,7 @@ from physkin_core import (
 )
 from physkin_core.loader.asset_loader import AssetLoader
 from physkin_core.loader.requests import GarmentRequest, OutfitRequest
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours
 from physkin_core.points.point_files import read_splat_file
 from physkin_core.points.splat_draper import SplatSkinner, bind_splats
 

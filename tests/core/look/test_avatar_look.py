@@ -8,13 +8,12 @@ import re
 import numpy as np
 import pytest
 from core.export.gltf_reader import Reader
-from gltf_person import PERSON, RIG, add_part, faces_on, load_document, person_document, rig_json, write_gltf
+from gltf_person import PERSON, RIG, add_part, faces_on, load_document, person_document, rig_json
 from PIL import Image
 
 from physkin_core import BUNDLED_AVATAR, load_avatar
 from physkin_core.cli import main
-from physkin_core.look.avatar_look import avatar_look
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours, avatar_look
 from physkin_core.mesh.look import LIBRARY, Look, few_colours
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.view.scene.heat_map import MOST_COLOURS, own_bands
@@ -277,15 +276,6 @@ def test_exported_files_have_the_avatars_own_look(tmp_path):
     shaders = [prim for prim in stage.Traverse() if prim.GetName() == "UsdUVTexture"]
     files = [each.GetAttribute("inputs:file").Get().path for each in shaders if "skin" in str(each.GetPath())]
     assert [(tmp_path / file).read_bytes() for file in files] == [picture()]
-
-
-def test_a_gltf_keeps_its_look_too(tmp_path):
-    builder = textured()
-    (tmp_path / "person.bin").write_bytes(bytes(builder.binary))
-    write_gltf(tmp_path / "person.gltf", builder, buffer_uri="person.bin")
-    avatar = load_avatar(tmp_path / "person.gltf", RIG)
-    colours, clear = expected(avatar)
-    np.testing.assert_allclose(avatar_colours(avatar)[clear], colours[clear], atol=0.02)
 
 
 def half_clear(length=None):

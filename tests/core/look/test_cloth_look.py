@@ -11,9 +11,9 @@ from physkin_core import FABRICS, save_garment_model
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.cli import main
 from physkin_core.look.cloth_look import CLOTHS, FABRICS_PATH, cloth_colour, cloth_look, dyed
-from physkin_core.mesh.surfaces import linear, surfaces_of
+from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
-from physkin_core.picture import Mesh, render
+from physkin_core.pictures.picture import Mesh, render
 from tests.random_models import random_model, sewn_tube
 
 Image = pytest.importorskip("PIL.Image", reason="needs pillow: pip install 'physkin[view]'")
@@ -50,15 +50,21 @@ def test_the_colour_named_wins_over_the_fabrics_own_and_the_layers(fabric, expec
     assert cloth_colour(fabric, TEAL) == pytest.approx(expected)
 
 
-def test_the_look_lies_along_the_grain_in_metres():
+@pytest.fixture(scope="module")
+def denim():
+    """Its surface, on half of the faces of a tube."""
     tube = sewn_tube()
     chosen = np.arange(len(tube.faces)) % 2 == 0
     look = cloth_look(tube, "denim:teal", chosen, TEAL)
     np.testing.assert_array_equal(look.uv, tube.panel_places[tube.panel_faces[chosen]])
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
-    assert surface.name == "denim" and surface.roughness == 0.9
-    assert surface.repeats == surface.normal_repeats == pytest.approx((1 / 0.0176,) * 2, rel=1e-5)
-    assert surface.picture.name == "denim.png" and surface.normals.name == "denim_normal.png"
+    (surface,) = surfaces_of(look, "skirt", TEAL, len(look.uv))
+    return surface
+
+
+def test_the_look_lies_along_the_grain_in_metres(denim):
+    assert denim.name == "denim" and denim.roughness == 0.9
+    assert denim.repeats == denim.normal_repeats == pytest.approx((1 / 0.0176,) * 2, rel=1e-5)
+    assert denim.picture.name == "denim.png" and denim.normals.name == "denim_normal.png"
 
 
 def test_cloth_that_was_not_cut_flat_has_no_grain():
@@ -66,27 +72,21 @@ def test_cloth_that_was_not_cut_flat_has_no_grain():
     assert cloth_look(garment, "denim", np.ones(len(garment.faces), dtype=bool), TEAL) is None
 
 
-def test_from_afar_a_tile_is_its_mean_and_flat():
-    tube = sewn_tube()
-    look = cloth_look(tube, "", np.ones(len(tube.faces), dtype=bool), TEAL)
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
-    near, far = (colours_seen(surface.picture, surface.repeats, pixel) for pixel in (1e-5, 0.05))
+def test_from_afar_a_tile_is_its_mean_and_flat(denim):
+    near, far = (colours_seen(denim.picture, denim.repeats, pixel) for pixel in (1e-5, 0.05))
     assert near.shape == (256, 256, 4) and far.shape == (1, 1, 4)
     np.testing.assert_allclose(far[0, 0], near.mean(axis=(0, 1)), atol=1e-3)
-    np.testing.assert_allclose(normals_seen(surface.normals, surface.normal_repeats, 0.05)[0, 0, :2], 0.5, atol=0.02)
+    np.testing.assert_allclose(normals_seen(denim.normals, denim.normal_repeats, 0.05)[0, 0, :2], 0.5, atol=0.02)
 
 
-def test_a_picture_shows_the_weave_and_afar_the_colour():
+def test_a_picture_shows_the_weave_and_afar_the_colour(denim):
     """A flat square metre and a square centimetre of denim, as far away as fits."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
-    tube = sewn_tube()
-    look = cloth_look(tube, "denim", np.ones(len(tube.faces), dtype=bool), TEAL)
-    (surface,) = surfaces_of(look, "skirt", linear(TEAL), len(look.uv))
     unevenness = {}
     for size in (1.0, 0.01):
         corners = size * np.array([[0.0, -0.5, 0.0], [0, 0.5, 0], [0, 0.5, 1], [0, -0.5, 1]])
         faces = np.array([[0, 1, 2], [0, 2, 3]])
-        square = Mesh(corners, faces, TEAL, surface, corners[faces][..., 1:])
+        square = Mesh(corners, faces, TEAL, denim, corners[faces][..., 1:])
         picture = render([square], size=(96, 96), azimuth=0, elevation=0, floor=None)[20:-20, 20:-20].astype(float)
         unevenness[size] = picture.std(axis=(0, 1)).max()
         assert picture[..., 2].mean() > picture[..., 0].mean() + 20

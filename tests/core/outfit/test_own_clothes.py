@@ -7,7 +7,7 @@ import pytest
 from gltf_person import dressed_document, load_document
 
 from physkin_core import Outfit, load_garment_model
-from physkin_core.look.face_colours import avatar_colours
+from physkin_core.look.avatar_look import avatar_colours
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
 RED, BLUE = (0.6, 0.05, 0.05), (0.05, 0.07, 0.25)

@@ -9,6 +9,7 @@ from physkin_core import Outfit, with_fabric
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.export.gltf_still import still_glb
 from physkin_core.look.cloth_look import cloth_look, seen_from_afar
+from physkin_core.model.garment import vertex_normals
 from physkin_core.render.filming import cloth_meshes
 from tests.random_models import random_avatar, random_model, sewn_tube
 
@@ -28,7 +29,8 @@ def test_a_still_file_has_cloth_stitches_and_hems_where_they_are():
     tube = sewn_tube(columns=24, rings=33)
     look = cloth_look(tube, "denim", np.ones(len(tube.faces), dtype=bool), TEAL)
     meshes = cloth_meshes(look, tube.vertices, tube.faces)
-    scene = trimesh.load(io.BytesIO(still_glb(meshes)), file_type="glb")
+    cloud = np.concatenate([tube.vertices, vertex_normals(tube.vertices, tube.faces)], axis=1)
+    scene = trimesh.load(io.BytesIO(still_glb(look, cloud, tube.faces)), file_type="glb")
     assert {each.visual.material.name for each in scene.geometry.values()} == {"denim", "seam", "felled", "thick_hem"}
     for made, mesh in zip(scene.geometry.values(), meshes):
         assert len(made.faces) == len(mesh.faces)

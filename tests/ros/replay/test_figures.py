@@ -19,7 +19,7 @@ from bag_messages import gravity, joint_state, recorded  # noqa: E402
 
 from physkin_core import cli, save_garment_model  # noqa: E402
 from physkin_core.motion.bag_reader import GRAVITY, JOINT_STATE  # noqa: E402
-from physkin_core.picture import PictureError  # noqa: E402
+from physkin_core.pictures.picture import PictureError  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay import report  # noqa: E402
 from physkin_ros.replay.bags import BagWriter  # noqa: E402

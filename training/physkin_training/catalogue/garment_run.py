@@ -11,7 +11,7 @@ from PIL import Image
 
 from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, load_avatar
 from physkin_core.check.garment_check import check_garment
-from physkin_core.picture import PictureError
+from physkin_core.pictures.picture import PictureError
 from physkin_training.catalogue.plan import Job, Status, read_status, stage, write_status
 from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT, fit_garment, log_progress
 from physkin_training.fit_garment.pictures import in_motion

@@ -25,7 +25,7 @@ from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, upright_orientation
 from physkin_core.outfit.outfit_options import add_options
 from physkin_core.output_file import check_folder
-from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 from physkin_core.progress import progress_line
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig

@@ -306,7 +306,7 @@ def _write(path: Path, garment: Garment, vertices: np.ndarray, result: Solution)
 
 
 def _draw(path: Path, avatar: Avatar, garment: Garment, bodies: np.ndarray, drapes: np.ndarray) -> None:
-    from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
+    from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
     from physkin_core.render.filming import avatar_mesh
 
     images = [

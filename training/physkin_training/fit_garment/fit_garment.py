@@ -25,7 +25,7 @@ from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import save_garment_model
 from physkin_core.outfit.outfit_options import print_warnings
-from physkin_core.picture import PictureError, save_png
+from physkin_core.pictures.picture import PictureError, save_png
 from physkin_training.config import as_toml, load_config
 from physkin_training.devices import DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment

@@ -8,7 +8,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.outfit.draper import Draper
-from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, contact_sheet, render
 from physkin_core.render.filming import avatar_mesh, dressed_meshes
 from physkin_training.evaluate.contact_sheet import chosen_poses
 from physkin_training.fit_garment.checks import CheckedGarment

@@ -17,7 +17,7 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
-from physkin_core.picture import PictureError, save_png
+from physkin_core.pictures.picture import PictureError, save_png
 from physkin_training.evaluate.contact_sheet import draw_sheet
 from physkin_training.evaluate.evaluate import evaluate_model
 from physkin_training.evaluate.score_table import table

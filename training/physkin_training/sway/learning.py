@@ -115,10 +115,7 @@ def descend(
         loss(windows.at(walkers, stride=stride)).backward()
         optimiser.step()
 
-    recorded = [
-        RecordedStep(partial(compute, stride), device, clear=optimiser.zero_grad)
-        for stride in STRIDES
-    ]
+    recorded = [RecordedStep(partial(compute, stride), device, clear=optimiser.zero_grad) for stride in STRIDES]
     watch = progress_line(doing)
     for step, rate in enumerate(rates):
         for group in optimiser.param_groups:

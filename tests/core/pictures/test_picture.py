@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from physkin_core.picture import BACKGROUND, CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.pictures.picture import BACKGROUND, CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
 
 PAPER = round(255 * BACKGROUND)
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

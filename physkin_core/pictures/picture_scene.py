@@ -13,9 +13,11 @@ import numpy as np
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import Surface, split_at_seams
 from physkin_core.mesh.tiles_seen import colours_seen, normals_seen
+from physkin_core.model.garment import vertex_normals
 
-__all__ = ["LAMP_STRENGTH", "View", "light", "plain_surface", "textured_surface", "view_of"]
+__all__ = ["BODY_COLOUR", "Mesh", "View", "drawn_mesh", "light", "to_linear", "view_of"]
 
+BODY_COLOUR = (0.80, 0.70, 0.63)
 FIELD_OF_VIEW = 20.0  # [degrees] from the lower to the upper edge
 MARGIN = 1.06
 LAMP_DIRECTION = (0.5, 0.6, 1.0)  # relative to a camera on X
@@ -24,6 +26,25 @@ LAMP_RADIUS = 9.0  # [degrees] softness of shadows
 LAMP_DISTANCE = 5000.0  # [m]
 FACE_COLOUR = "face_color"  # mitsuba's name for an attribute of faces
 INSIDE = 0.8  # of the light that cloth has outside
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1], or (f, 3)
+    of each face. surface, places: its material, drawn in place of the colour where it has a picture, and where in that
+    the faces' corners are (f, 3, 2) [m]. normals: (n, 3) then, None for the mesh's own."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colour: tuple[float, float, float] | np.ndarray = BODY_COLOUR
+    surface: Surface | None = None
+    places: np.ndarray | None = None
+    normals: np.ndarray | None = None
+
+    @property
+    def vertex_normals(self) -> np.ndarray:
+        """(n, 3) unit normals."""
+        return vertex_normals(self.vertices, self.faces) if self.normals is None else self.normals
 
 
 @dataclass(frozen=True)
@@ -79,6 +100,11 @@ class View:
         return math.tan(math.radians(FIELD_OF_VIEW) / 2)
 
 
+def to_linear(colour: float | np.ndarray) -> np.ndarray:
+    """Linear light of sRGB, both in [0, 1]."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+
+
 def view_of(
     bounds: np.ndarray, size: tuple[int, int], azimuth: float, elevation: float, distance: float | None
 ) -> View:
@@ -97,62 +123,49 @@ def view_of(
     return View(size, centre + distance * back, centre, right, up, back)
 
 
-def plain_surface(mi, vertices: np.ndarray, faces: np.ndarray, reflectance: np.ndarray):
-    """A mitsuba mesh with smooth normals. reflectance: linear RGB (3,), or (f, 3) of each face."""
-    of_faces = reflectance.ndim == 2
-    shown = {"type": "mesh_attribute", "name": FACE_COLOUR}
-    if not of_faces:
+def drawn_mesh(mi, mesh: Mesh, *, gain: float, pixel: float):
+    """A mitsuba mesh in its material, in its colours where that has no picture. gain: from these to reflectance: it is
+    shown in about its own where it stands upright. pixel: of the picture [m] where the mesh is."""
+    if textured := mesh.surface is not None and mesh.surface.picture is not None:
+        own, places, faces = split_at_seams(Look.with_places(mesh.places), mesh.faces)
+        material = _cloth(mi, mesh.surface, gain, pixel)
+    else:
+        own, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without a face would have no normal
+        reflectance = np.float32(gain * to_linear(np.array(mesh.colour, dtype=np.float32)))
         shown = {"type": "rgb", "value": reflectance.tolist()}
+        if reflectance.ndim == 2:
+            shown = {"type": "mesh_attribute", "name": FACE_COLOUR}
+        material = {"side": {"type": "principled", "base_color": shown, "roughness": 0.7, "specular": 0.25}}
     properties = mi.Properties()
-    cloth = {"type": "principled", "base_color": shown, "roughness": 0.7, "specular": 0.25}
-    properties["bsdf"] = mi.load_dict({"type": "twosided", "side": cloth})
-    used, own = np.unique(faces, return_inverse=True)  # vertices without a face would have no normal
-    surface = mi.Mesh("mesh", len(used), len(faces), properties, has_vertex_normals=True)
-    if of_faces:
-        surface.add_attribute(FACE_COLOUR, 3, reflectance.ravel())
-    buffers = mi.traverse(surface)
-    buffers["vertex_positions"] = np.ascontiguousarray(vertices[used], dtype=np.float32).ravel()
-    buffers["faces"] = own.astype(np.uint32).ravel()
-    buffers.update()  # computes the vertex normals
-    return surface
+    properties["bsdf"] = mi.load_dict({"type": "twosided", **material})
+    layout = {"has_vertex_normals": True, "has_vertex_texcoords": textured}
+    drawn = mi.Mesh("mesh", len(own), len(mesh.faces), properties, **layout)
+    if not textured and reflectance.ndim == 2:
+        drawn.add_attribute(FACE_COLOUR, 3, reflectance.ravel())
+    buffers = mi.traverse(drawn)
+    buffers["vertex_positions"] = np.ascontiguousarray(mesh.vertices[own], dtype=np.float32).ravel()
+    buffers["faces"] = faces.astype(np.uint32).ravel()
+    if textured:
+        buffers["vertex_texcoords"] = places.astype(np.float32).ravel()
+    buffers.update()  # computes the vertex normals, which are open at seams
+    if textured:
+        buffers["vertex_normals"] = mesh.vertex_normals[own].astype(np.float32).ravel()
+        buffers.update()
+    return drawn
 
 
-def textured_surface(
-    mi,
-    vertices: np.ndarray,
-    normals: np.ndarray,
-    faces: np.ndarray,
-    places: np.ndarray,
-    surface: Surface,
-    *,
-    gain: float,
-    pixel: float,
-):
-    """A mitsuba mesh in its material. places: (f, 3, 2) of the faces' corners in its pictures. gain: from its colour to
-    reflectance. pixel: of the picture [m] where the mesh is."""
+def _cloth(mi, surface: Surface, gain: float, pixel: float) -> dict[str, dict]:
+    """Both sides of cloth."""
     base = gain * np.float32(surface.colour) * colours_seen(surface.picture, surface.repeats, pixel)[..., :3]
-
-    def cloth(share: float) -> dict:
-        """share: of the light that its colour has outside."""
+    sides = {}
+    for side, share in (("outside", 1.0), ("inside", INSIDE)):
         found = {"type": "principled", "base_color": _bitmap(mi, share * base, surface.repeats), "specular": 0.25}
         found |= {"roughness": surface.roughness, "sheen": surface.sheen}
         if surface.normals is not None:
             tile = normals_seen(surface.normals, surface.normal_repeats, pixel)
             found = {"type": "normalmap", "normalmap": _bitmap(mi, tile, surface.normal_repeats), "bsdf": found}
-        return found
-
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict({"type": "twosided", "outside": cloth(1.0), "inside": cloth(INSIDE)})
-    own, at, split = split_at_seams(Look.with_places(places), faces)
-    drawn = mi.Mesh("mesh", len(own), len(split), properties, has_vertex_normals=True, has_vertex_texcoords=True)
-    buffers = mi.traverse(drawn)
-    buffers["vertex_positions"] = np.ascontiguousarray(vertices[own], dtype=np.float32).ravel()
-    buffers["faces"] = split.astype(np.uint32).ravel()
-    buffers["vertex_texcoords"] = at.astype(np.float32).ravel()
-    buffers.update()
-    buffers["vertex_normals"] = normals[own].astype(np.float32).ravel()
-    buffers.update()  # not with the positions, of which mitsuba computes its own, open at seams
-    return drawn
+        sides[side] = found
+    return sides
 
 
 def _bitmap(mi, image: np.ndarray, repeats: tuple[float, float]) -> dict:

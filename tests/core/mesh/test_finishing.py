@@ -5,11 +5,12 @@ import io
 import numpy as np
 import pytest
 
-from physkin_core.look.finishing import Finish, stitching, turned_up
+from physkin_core.mesh.finishing import Finish, stitching, turned_up
 from physkin_core.mesh.surfaces import Picture, Surface
 from physkin_core.model.garment import Garment, vertex_normals
-from physkin_core.picture_paint import painted
-from physkin_core.picture_scene import view_of
+from physkin_core.pictures.picture import Mesh
+from physkin_core.pictures.picture_paint import painted
+from physkin_core.pictures.picture_scene import view_of
 from tests.random_models import sewn_tube
 
 WIDTH, HEIGHT, LIFT = 0.6, 0.2, 3e-4
@@ -29,13 +30,13 @@ def places_by_hand(tube: Garment, finish: Finish) -> np.ndarray:
 def test_hems_are_told_from_seams(tube):
     """Along a hem places are how far along it and how far from it; faces near none are left out."""
     lines = stitching(tube, LIFT)
-    flat = places_by_hand(tube, lines.hems)
+    flat = places_by_hand(tube, lines["hems"])
     from_edge = np.minimum(flat[..., 1], HEIGHT - flat[..., 1])
-    np.testing.assert_allclose(lines.hems.places[..., 1], from_edge, atol=1e-9)
-    steps = np.diff(lines.hems.places[..., 0], axis=1)
+    np.testing.assert_allclose(lines["hems"].places[..., 1], from_edge, atol=1e-9)
+    steps = np.diff(lines["hems"].places[..., 0], axis=1)
     np.testing.assert_allclose(np.abs(steps), np.abs(np.diff(flat[..., 0], axis=1)), atol=1e-9)
     assert from_edge.min(axis=1).max() < 0.034
-    both = [lines.seams, lines.felled]
+    both = [lines["seams"], lines["felled"]]
     assert sum(len(each.faces) for each in both) > 0
     for each in both:
         flat = places_by_hand(tube, each)
@@ -46,11 +47,11 @@ def test_hems_are_told_from_seams(tube):
 def test_stitches_lie_on_the_cloth(tube):
     lines = stitching(tube, LIFT)
     normals = vertex_normals(tube.vertices, tube.faces)
-    placed = lines.hems.placed(tube.vertices, normals)
-    np.testing.assert_allclose(placed, (tube.vertices + LIFT * normals)[lines.hems.vertices])
-    np.testing.assert_array_equal(lines.hems.vertices[lines.hems.faces], tube.faces[lines.hems.of])
+    placed = lines["hems"].placed(tube.vertices, normals)
+    np.testing.assert_allclose(placed, (tube.vertices + LIFT * normals)[lines["hems"].vertices])
+    np.testing.assert_array_equal(lines["hems"].vertices[lines["hems"].faces], tube.faces[lines["hems"].of])
     cloud = np.concatenate([tube.vertices, normals], axis=1)
-    np.testing.assert_allclose(lines.hems.on(cloud)[:, :3], placed, atol=1e-6)
+    np.testing.assert_allclose(lines["hems"].on(cloud)[:, :3], placed, atol=1e-6)
 
 
 def test_hems_are_turned_up_with_an_edge(tube):
@@ -78,12 +79,10 @@ def test_hems_are_turned_up_with_an_edge(tube):
 def test_of_some_faces_only_their_finish_is_left(tube):
     chosen = np.arange(len(tube.faces)) % 2 == 0
     used = np.unique(tube.faces[chosen])
-    vertex = np.full(len(tube.vertices), -1)
-    vertex[used] = np.arange(len(used))
-    whole = stitching(tube, LIFT).hems
-    part = whole.of_faces(chosen, vertex)
-    assert 0 < len(part.faces) < len(whole.faces) and chosen[part.of].all()
-    np.testing.assert_array_equal(used[part.vertices[part.faces]], tube.faces[part.of])
+    whole = stitching(tube, LIFT)["hems"]
+    part = whole.of_faces(chosen, tube.faces)
+    assert 0 < len(part.faces) < len(whole.faces)
+    np.testing.assert_array_equal(used[part.vertices[part.faces]], tube.faces[chosen][part.of])
 
 
 def test_paint_is_seen_where_the_cloth_is_and_nowhere_else():
@@ -101,8 +100,8 @@ def test_paint_is_seen_where_the_cloth_is_and_nowhere_else():
     positions = np.stack([0 * rows, (columns - 20) * view.pixel, (20 - rows) * view.pixel], axis=-1)
     grey = np.full((40, 40, 3), 0.4)
     for behind, normals, seen in ((0.0, ahead, True), (0.1, ahead, False), (0.0, -ahead, False)):
-        mesh = corners - [behind, 0, 0], faces, corners[faces][..., 1:]
-        found = painted(grey, np.full_like(grey, 0.2), positions, view, mesh, normals, red, gain=0.5)
+        mesh = Mesh(corners - [behind, 0, 0], faces, surface=red, places=corners[faces][..., 1:], normals=normals)
+        found = painted(grey, np.full_like(grey, 0.2), positions, view, mesh, gain=0.5)
         covered = (found != grey).any(axis=-1)
         pixels, _ = view.pixels(corners)
         low, high = pixels.min(axis=0), pixels.max(axis=0)

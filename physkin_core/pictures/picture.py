@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -15,10 +14,8 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.extras import install_command
-from physkin_core.mesh.surfaces import Surface
-from physkin_core.model.garment import vertex_normals
-from physkin_core.picture_paint import painted
-from physkin_core.picture_scene import View, light, plain_surface, textured_surface, view_of
+from physkin_core.pictures.picture_paint import painted
+from physkin_core.pictures.picture_scene import BODY_COLOUR, Mesh, drawn_mesh, light, to_linear, view_of
 
 __all__ = [
     "BODY_COLOUR",
@@ -34,7 +31,6 @@ __all__ = [
 
 log = logging.getLogger(__name__)
 
-BODY_COLOUR = (0.80, 0.70, 0.63)
 CLOTH_COLOUR = (0.16, 0.42, 0.58)
 LAYER_COLOURS = ((0.25, 0.28, 0.33), (0.75, 0.35, 0.25), CLOTH_COLOUR, (0.55, 0.52, 0.30))
 """Of the garments of an outfit, from the skin outwards."""
@@ -49,20 +45,6 @@ GUIDE_SAMPLES = 4  # a pixel, for colours, normals and positions
 
 class PictureError(RuntimeError):
     """Pictures cannot be made here; the message says what to install."""
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A surface to draw: vertices (n, 3) [m], Z up; faces (f, 3) vertex indices; colour (3,) sRGB in [0, 1], or (f, 3)
-    of each face. surface, places: its material, drawn in place of the colour where it has a picture, and where in that
-    the faces' corners are (f, 3, 2) [m]. normals: (n, 3) then, None for the mesh's own."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    colour: tuple[float, float, float] | np.ndarray = BODY_COLOUR
-    surface: Surface | None = None
-    places: np.ndarray | None = None
-    normals: np.ndarray | None = None
 
 
 def layer_colours(count: int) -> tuple[tuple[float, float, float], ...]:
@@ -105,7 +87,7 @@ def render(
         "type": "scene",
         "sensor": view.camera(mi),
         **emitters,
-        **{f"mesh{index}": _surface(mi, mesh, gain, view) for index, mesh in enumerate(solid)},
+        **{f"mesh{index}": drawn_mesh(mi, mesh, gain=gain, pixel=view.pixel) for index, mesh in enumerate(solid)},
     }
     if floor is not None:
         placed = mi.ScalarTransform4f().translate([0, 0, floor]).scale(FLOOR_RADIUS)
@@ -118,16 +100,7 @@ def render(
     albedo, normals, positions = np.split(_layers(mi, scene, GUIDE_SAMPLES, guides), 3, axis=-1)
     lighted = _denoised(radiance, albedo, normals)
     for mesh in paints:
-        lighted = painted(
-            lighted,
-            albedo,
-            positions,
-            view,
-            (mesh.vertices, mesh.faces, mesh.places),
-            _normals(mesh),
-            mesh.surface,
-            gain=gain,
-        )
+        lighted = painted(lighted, albedo, positions, view, mesh, gain=gain)
     picture = lighted + (1 - cover)
     reach = np.linalg.norm(points - bounds.mean(axis=0), axis=1).max()
     away = np.linalg.norm(positions - bounds.mean(axis=0), axis=-1, keepdims=True) / reach
@@ -189,20 +162,6 @@ def _checked(mesh: Mesh) -> np.ndarray:
     return vertices
 
 
-def _surface(mi, mesh: Mesh, gain: float, view: View):
-    """A mesh for mitsuba. gain: from its colour to reflectance: it is shown in about its own where it stands
-    upright."""
-    if mesh.surface is None or mesh.places is None or mesh.surface.picture is None:
-        reflectance = np.float32(gain * _to_linear(np.array(mesh.colour, dtype=np.float32)))
-        return plain_surface(mi, mesh.vertices, mesh.faces, reflectance)
-    shape = mesh.vertices, _normals(mesh), mesh.faces, mesh.places
-    return textured_surface(mi, *shape, mesh.surface, gain=gain, pixel=view.pixel)
-
-
-def _normals(mesh: Mesh) -> np.ndarray:
-    return vertex_normals(mesh.vertices, mesh.faces) if mesh.normals is None else mesh.normals
-
-
 def _layers(mi, scene, samples: int, integrator: dict) -> np.ndarray:
     return np.array(mi.render(scene, integrator=mi.load_dict(integrator), spp=samples), dtype=np.float32)
 
@@ -222,12 +181,8 @@ def _tell_grainy() -> None:
     log.warning("pictures are grainy without pyoidn: %s", install_command("view"))
 
 
-def _to_linear(value: float | np.ndarray) -> np.ndarray:
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
 def _to_srgb(radiance: np.ndarray) -> np.ndarray:
-    linear = np.clip(radiance * _to_linear(BACKGROUND), 0.0, 1.0)
+    linear = np.clip(radiance * to_linear(BACKGROUND), 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.round(255 * encoded).astype(np.uint8)
 

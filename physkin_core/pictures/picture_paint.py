@@ -10,7 +10,7 @@ import numpy as np
 
 from physkin_core.mesh.surfaces import Surface
 from physkin_core.mesh.tiles_seen import colours_seen
-from physkin_core.picture_scene import View
+from physkin_core.pictures.picture_scene import Mesh, View
 
 __all__ = ["painted"]
 
@@ -25,23 +25,20 @@ def painted(
     albedo: np.ndarray,
     positions: np.ndarray,
     view: View,
-    mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
-    normals: np.ndarray,
-    surface: Surface,
+    mesh: Mesh,
     *,
     gain: float,
 ) -> np.ndarray:
-    """A picture's radiance (h, w, 3) with a material on it, as far as that is opaque. albedo, positions: (h, w, 3) of
-    what is seen. mesh: vertices (n, 3) [m], faces (f, 3), and places (f, 3, 2) of their corners in the material's
-    picture. normals: (n, 3). gain: from its colour to reflectance."""
+    """A picture's radiance (h, w, 3) with a mesh's material on it, as far as that is opaque. albedo, positions: (h, w,
+    3) of what is seen. gain: from the material's colour to reflectance."""
     light = radiance.mean(axis=-1, keepdims=True) / np.maximum(albedo.mean(axis=-1, keepdims=True), DARKEST)
-    vertices, faces, places = mesh
-    face, row, column, shares = _covered(vertices, faces, view)
-    point, facing = (np.einsum("qc,qcx->qx", shares, each[faces[face]]) for each in (vertices, normals))
+    face, row, column, shares = _covered(mesh.vertices, mesh.faces, view)
+    corners = mesh.faces[face]
+    point, facing = (np.einsum("qc,qcx->qx", shares, each[corners]) for each in (mesh.vertices, mesh.vertex_normals))
     seen = np.linalg.norm(point - positions[row, column], axis=1) < max(LIES_ON, 2 * view.pixel)
     seen &= ((view.origin - point) * facing).sum(axis=1) > 0
     face, row, column, shares = face[seen], row[seen], column[seen], shares[seen]
-    colour = _looked_up(surface, np.einsum("qc,qcx->qx", shares, places[face]), view.pixel)
+    colour = _looked_up(mesh.surface, np.einsum("qc,qcx->qx", shares, mesh.places[face]), view.pixel)
     opacity, paint = colour[:, 3:], gain * colour[:, :3] * light[row, column]
     found = radiance.copy()
     found[row, column] = radiance[row, column] * (1 - opacity) + paint * opacity

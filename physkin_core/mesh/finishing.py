@@ -15,7 +15,7 @@ import numpy as np
 
 from physkin_core.model.garment import Garment
 
-__all__ = ["Finish", "Stitching", "stitching", "turned_up"]
+__all__ = ["Finish", "stitching", "turned_up"]
 
 CORNER = np.cos(np.radians(40.0))
 """A panel's edge that turns by more than this ends one line of stitches and begins another."""
@@ -35,18 +35,14 @@ class Finish:
     of: np.ndarray
     places: np.ndarray
 
-    def of_faces(self, chosen: np.ndarray, vertex: np.ndarray) -> Finish:
-        """What of it follows some of the garment's faces, a mask (f,), whose vertices are numbered anew: vertex
-        (n,)."""
+    def of_faces(self, chosen: np.ndarray, faces: np.ndarray) -> Finish:
+        """What of it follows some of the garment's faces (f, 3), a mask (f,): a finish of a garment that has no other
+        faces, nor vertices that none of them uses."""
         kept = chosen[self.of]
-        used, faces = np.unique(self.faces[kept], return_inverse=True)
-        return Finish(
-            vertex[self.vertices[used]],
-            self.above[used],
-            faces.reshape(-1, 3),
-            self.of[kept],
-            self.places[kept],
-        )
+        used, own = np.unique(self.faces[kept], return_inverse=True)
+        vertices = np.searchsorted(np.unique(faces[chosen]), self.vertices[used])
+        of = (np.cumsum(chosen) - 1)[self.of[kept]]
+        return Finish(vertices, self.above[used], own.reshape(-1, 3), of, self.places[kept])
 
     def on(self, cloud: np.ndarray) -> np.ndarray:
         """(w, 6) float32 positions and normals on a garment's cloud (n, 6). What is turned up looks the other way."""
@@ -56,16 +52,6 @@ class Finish:
     def placed(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(w, 3) where its vertices are on a garment with points and unit normals (n, 3)."""
         return points[self.vertices] + self.above[:, None] * normals[self.vertices]
-
-
-@dataclass(frozen=True)
-class Stitching:
-    """Finishes of a garment; in their places, how far along the line of stitches, then how far from the edge. seams: on
-    both sides of a seam. felled: on that side of a seam to which its allowance is sewn down. hems: along open edges."""
-
-    seams: Finish
-    felled: Finish
-    hems: Finish
 
 
 @dataclass(frozen=True)
@@ -80,8 +66,10 @@ class _Line:
     hem: bool
 
 
-def stitching(garment: Garment, lift: float) -> Stitching:
-    """Of a garment that was cut flat. lift: how far above the cloth it is drawn."""
+def stitching(garment: Garment, lift: float) -> dict[str, Finish]:
+    """Of a garment that was cut flat: "seams" on both sides of a seam, "felled" on that side to which its allowance is
+    sewn down, "hems" along open edges. Their places are how far along the line of stitches, then how far from the edge.
+    lift: how far above the cloth it is drawn."""
     panel = _panel_of_faces(garment.panel_faces)
     corners = garment.panel_places[garment.panel_faces]
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"seams": [], "felled": [], "hems": []}
@@ -96,7 +84,7 @@ def stitching(garment: Garment, lift: float) -> Stitching:
         places = np.stack([along[near], away[near]], axis=-1)
         kind = "hems" if line.hem else "felled" if line.panel < line.other else "seams"
         found[kind].append((faces[near], places))
-    return Stitching(**{kind: _on_faces(garment, parts, lift) for kind, parts in found.items()})
+    return {kind: _on_faces(garment, parts, lift) for kind, parts in found.items()}
 
 
 def turned_up(garment: Garment, depth: float, thickness: float) -> Finish:
