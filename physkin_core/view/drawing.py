@@ -17,8 +17,7 @@ from physkin_core.render.filming import cloth_meshes
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
-from physkin_core.view.scene.scene_state import Frame
-from physkin_core.view.scene.worn_splats import SplatFrame
+from physkin_core.view.scene.scene_state import Frame, SplatFrame
 from physkin_core.view.surface_node import SurfaceNode
 
 __all__ = ["Drawing", "Switches"]
@@ -131,16 +130,16 @@ class Drawing:
         if heat == "skin" and self.skin_shows is not None:
             shows = np.zeros(len(frame.outfit.faces_to_draw))
             shows[: len(self.skin_shows)] = self.skin_shows
-            body.paint(SKIN_BANDS, shows[_shown(frame)], frame.body)
+            body.show(frame.body, SKIN_BANDS, shows[_shown(frame)])
         else:
-            body.paint(*self._body_paint, frame.body)
+            body.show(frame.body, *self._body_paint)
         strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
         splats = frame.splats if self.switches.splats else None
         for k, (surface, points, strain) in enumerate(zip(cloth, frame.cloth, strains)):
             if splats is not None and k == splats.garment:
                 surface.remove()
             else:
-                surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
+                surface.show(points[:, :3], None if strain is None else STRAIN_BANDS, strain)
         self._show_splats(splats, frame.colours[1:])
 
     def _show_splats(self, shown: SplatFrame | None, colours: Sequence[Colour]) -> None:
@@ -166,7 +165,7 @@ class Drawing:
         for surface, vertices in zip(self._plain[1:], frame.plain):
             surface.show(vertices)
         for surface in self._plain[:1]:
-            surface.paint(*self._body_paint, frame.body)
+            surface.show(frame.body, *self._body_paint)
 
     @property
     def _body_paint(self) -> tuple[Bands | None, np.ndarray | None]:

@@ -170,8 +170,8 @@ def test_outfit_in_order_with_colours(asset_loader):
         (lambda state, folder: state.wear(["tshirt", "tshirt"]), "tshirt"),
         (lambda state, folder: state.wear(["tshirt"], tucked=["skirt"]), "--tucked skirt: none of the garments"),
         (lambda state, folder: state.wear(["nosuch"]), "no garment model 'nosuch'"),
-        (lambda state, folder: state.put_on(folder / "me.fbx"), "the extension '.fbx' is unknown"),
-        (lambda state, folder: state.put_on(folder / "broken.glb"), "broken.glb"),
+        (lambda state, folder: state.wear(body=folder / "me.fbx"), "the extension '.fbx' is unknown"),
+        (lambda state, folder: state.wear(body=folder / "broken.glb"), "broken.glb"),
         (lambda state, folder: state.choose_motion(folder / "broken.bvh"), "broken.bvh"),
         (lambda state, folder: state.choose_motion("nosuch"), "no bundled motion 'nosuch'"),
     ],
@@ -198,11 +198,11 @@ def test_another_body(state, tmp_path):
     shutil.copy(BUNDLED_AVATAR, own)
     before = state.outfit
     state.play()
-    state.put_on(own)
+    state.wear(body=own)
     frame = state.advance(0.1)
     assert state.body == own and frame.outfit is state.outfit is not before and state.motion.name == "walk"
     assert state.playing and frame.outfit.avatar.source.endswith("me.glb")
-    state.put_on(BUNDLED_AVATAR)
+    state.wear(body=BUNDLED_AVATAR)
 
 
 def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, shared):
@@ -211,7 +211,7 @@ def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, sha
 
     def put_on() -> None:
         try:
-            shared.put_on(BUNDLED_AVATAR)
+            shared.wear(body=BUNDLED_AVATAR)
         except ValueError as error:
             told.append(str(error))
 
@@ -225,13 +225,14 @@ def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, sha
     assert len(told) == 1 and "(SIGKILL)" in told[0]
     shared.set_joint(0, 0.2)
     assert shared.advance(0.0).outfit is worn
-    shared.put_on(BUNDLED_AVATAR)
+    shared.wear(body=BUNDLED_AVATAR)
     assert shared.advance(0.0).outfit is not worn
 
 
 def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypatch):
     """What is drawn is the separated pose, of body and cloth."""
-    state = SceneState(asset_loader, ["tanktop"], separate_limbs=True)
+    state = SceneState(asset_loader, ["tanktop"])
+    state.wear(separate_limbs=True)
     assert state.warnings == state.outfit.warnings
     joint = state.rig.joint_names.index("upperarm01.L_x")
     state.set_joint(joint, -0.9)
@@ -244,7 +245,7 @@ def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypat
     np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
     from_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
     monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(from_bound=from_bound))
-    state.separate(True)
+    state.wear(separate_limbs=True)
     assert state.warnings == (*state.outfit.warnings, "a leg is not separated")
 
 
