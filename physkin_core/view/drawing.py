@@ -104,14 +104,11 @@ class Drawing:
     def _new_surfaces(self, where: str, frame: Frame) -> list[SurfaceNode]:
         """The body and each garment."""
         outfit, server = frame.outfit, self._page.server
-        shown = outfit.body_to_draw.faces[_shown(frame)]
-        names = ["body", *(f"cloth{k}" for k in range(len(frame.cloth)))]
-        counts = [len(frame.body), *map(len, frame.cloth)]
+        meshes = {"body": (len(frame.body), outfit.body_to_draw.faces[_shown(frame)])}
+        meshes |= {f"cloth{k}": (layer.vertex_count, layer.faces) for k, layer in enumerate(outfit.layers)}
         return [
-            SurfaceNode(server, f"{where}/{name}", count, faces, colour)
-            for name, count, faces, colour in zip(
-                names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours
-            )
+            SurfaceNode(server, f"{where}/{name}", *mesh, colour)
+            for (name, mesh), colour in zip(meshes.items(), frame.colours)
         ]
 
     def _place(self, frame: Frame) -> None:
@@ -158,14 +155,13 @@ class Drawing:
     def _show_plain(self, frame: Frame) -> None:
         if frame.plain and not self._plain:
             self._plain = self._new_surfaces("/world/beside", frame)
-        if not frame.plain and self._plain:
-            for surface in self._plain:
-                surface.remove()
-            self._plain = []
+        if not frame.plain:
+            while self._plain:
+                self._plain.pop().remove()
+            return
+        self._plain[0].show(frame.body, *self._body_paint)
         for surface, vertices in zip(self._plain[1:], frame.plain):
             surface.show(vertices)
-        for surface in self._plain[:1]:
-            surface.show(frame.body, *self._body_paint)
 
     @property
     def _body_paint(self) -> tuple[Bands | None, np.ndarray | None]:

@@ -28,7 +28,8 @@ class MotionTab:
         if chosen is None:
             chosen = Path(motion).name
             self._motions[chosen] = motion
-        self._motion = page.widget("dropdown", "motion", tuple(self._motions), chosen, change=self._change_motion)
+        motions, change = tuple(self._motions), self._change_motion
+        self._motion = page.widget("dropdown", "motion", motions, initial_value=chosen, change=change)
         self._play = page.widget("button", "Pause", icon="player-pause", change=self._play_or_pause)
         self._time = page.widget("slider", "time [s]", 0.0, 1.0, 0.01, 0.0, change=self._scrub)
         hint = f"times as fast as it was recorded, {SLOWEST} to {FASTEST}"
