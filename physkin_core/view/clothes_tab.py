@@ -27,19 +27,15 @@ class ClothesTab:
         self._page, self._state = page, state
         gui = page.server.gui
         self._models = {name: name for name in shipped_models()}
-        files = [split_fabric(name)[0] for name in state.garments]
-        self._models |= {Path(name).stem: name for name in files if name not in self._models}
         self._bodies: dict[str, Path] = {BUNDLED: BUNDLED_AVATAR}
-        if state.body != BUNDLED_AVATAR:
-            self._bodies[state.body.name] = state.body
         self._rig_files = {state.body: state.rig_file}
         self._layers: list[tuple] = []
         for number in range(1, MOST_LAYERS + 1):
             label = "On the skin" if number == 1 else f"Layer {number}"
-            models, fabrics = (NOTHING, *self._models), (AS_TRAINED, *FABRICS)
+            fabrics = (AS_TRAINED, *FABRICS)
             hint = "its hem is under the next one's waistband"
             layer = (
-                page.widget("dropdown", label, models, hint="garments, from the skin outwards", change=self._wear),
+                page.widget("dropdown", label, (NOTHING,), hint="garments, from the skin outwards", change=self._wear),
                 page.widget("dropdown", "fabric", fabrics, hint="what it is made of", change=self._wear),
                 page.widget("checkbox", "tucked in", False, hint=hint, change=self._wear),
                 page.widget("rgb", "colour", (0, 0, 0), change=self._recolour),
@@ -47,7 +43,7 @@ class ClothesTab:
             self._layers.append(layer)
         uploads.add_button("Load a garment model", hint="a .safetensors file", load=self._load_model)
         with gui.add_folder("Body"):
-            self._body = page.widget("dropdown", "avatar", tuple(self._bodies), change=self._change_body)
+            self._body = page.widget("dropdown", "avatar", (BUNDLED,), change=self._change_body)
             skin, hint = as_bytes(state.body_colour), "where it is not shown in its own"
             self._skin = page.widget("rgb", "colour", skin, hint=hint, change=self._recolour)
             hint, change = "move arms and legs out of the trunk and each other", self._change_separation
@@ -57,11 +53,19 @@ class ClothesTab:
         self.show_what_is_worn()
 
     def show_what_is_worn(self) -> None:
-        """Set the widgets to the state."""
-        state, worn = self._state, {name: label for label, name in self._models.items()}
+        """Set the widgets to the state, whose files are choices from now on."""
+        state = self._state
+        for file in (split_fabric(name)[0] for name in state.garments):
+            if file not in self._models.values():
+                label = Path(file).stem
+                self._models[f"{label}, file" if label in self._models else label] = file
+        if state.body not in self._bodies.values():
+            self._bodies[state.body.name] = state.body
+        worn = {name: label for label, name in self._models.items()}
         for layer, (garment, fabric, tucked, colour) in enumerate(self._layers):
             name = state.garments[layer] if layer < len(state.garments) else None
             file, with_fabric = (None, "") if name is None else split_fabric(name)
+            garment.options = (NOTHING, *self._models)
             garment.value = NOTHING if file is None else worn[file]
             garment.visible = layer <= len(state.garments)
             if with_fabric and with_fabric not in fabric.options:  # numbers, from the command line
@@ -73,6 +77,7 @@ class ClothesTab:
             tucked.value = name in state.tucked
             if name is not None:
                 colour.value = as_bytes(state.cloth_colours[layer])
+        self._body.options = tuple(self._bodies)
         self._body.value = next(label for label, path in self._bodies.items() if path == state.body)
         self._separate.value = state.separate_limbs
 
@@ -110,28 +115,10 @@ class ClothesTab:
         self._state.recolour(body=_shares(self._skin.value), cloth=cloth)
 
     def _load_model(self, path: Path) -> None:
-        worn = [*self._state.garments, str(path)]
-        self._models[path.stem] = str(path)
-        try:
-            self._dress(f"Putting on {path.stem}", worn, tucked=self._state.tucked)
-        except Exception:
-            del self._models[path.stem]
-            raise
-        for garment, *_ in self._layers:
-            garment.options = (NOTHING, *self._models)
+        self._dress(f"Putting on {path.stem}", [*self._state.garments, str(path)], tucked=self._state.tucked)
 
     def _load_body(self, path: Path) -> None:
-        before = self._bodies.get(path.name)
-        self._bodies[path.name] = path
-        self._body.options = tuple(self._bodies)
-        try:
-            self._dress(f"Reading {path.name}", body=path)
-        except Exception:
-            if before is None:
-                del self._bodies[path.name]
-                self._body.options = tuple(self._bodies)
-                self.show_what_is_worn()
-            raise
+        self._dress(f"Reading {path.name}", body=path)
 
 
 def _shares(colour: tuple[int, ...]) -> tuple[float, ...]:
