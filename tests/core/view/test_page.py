@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 from browser import CHROMIUM, Browser
 
 from physkin_core import cli
+from physkin_core.model.model_file import MODELS_PATH
 from physkin_core.view.scene.figures import look_at_contact
 from physkin_core.view.scene.scene_state import SceneState
 
@@ -173,6 +175,24 @@ def test_figures_come_from_a_process_until_that_ends(asset_loader, monkeypatch):
         page.server.stop()
 
 
+def test_a_model_that_was_loaded_is_a_choice(asset_loader, tmp_path):
+    """Beside a shipped one of its name; one that cannot be read is none."""
+    own, broken = tmp_path / "skirt.safetensors", tmp_path / "broken.safetensors"
+    shutil.copy(MODELS_PATH / "tanktop.safetensors", own)
+    broken.write_text("no model")
+    state, page = SceneState(asset_loader, ["trousers"]), Page(port=8394)
+    viewer = Viewer(page, state, motion=None)
+    try:
+        with pytest.raises(ValueError, match="broken"):
+            viewer._clothes._load_model(broken)
+        viewer._clothes._load_model(own)
+        garment = viewer._clothes._layers[1][0]
+        assert garment.value == garment.options[-1] == "skirt, file" and state.garments == ("trousers", str(own))
+    finally:
+        viewer.close()
+        page.server.stop()
+
+
 def test_sigterm_ends_whatever_is_being_done():
     """With status 143."""
     code = "import time; from physkin_core.view import view; view.end_at_sigterm(); print(flush=True); time.sleep(60)"
@@ -211,13 +231,6 @@ def test_addresses_that_cannot_be(address, told):
         Page(**address)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["-g", "nosuch"], "no garment model 'nosuch'"),
-        (["-g", "tshirt", "--tucked", "skirt"], "none of the garments"),
-    ],
-)
-def test_errors_before_there_is_a_page_are_one_line(arguments, reason, capsys):
-    assert cli.main(["view", "--no-browser", *arguments]) == 2
-    assert reason in capsys.readouterr().err.splitlines()[-1]
+def test_errors_before_there_is_a_page_are_one_line(capsys):
+    assert cli.main(["view", "--no-browser", "-g", "tshirt", "--tucked", "skirt"]) == 2
+    assert "none of the garments" in capsys.readouterr().err.splitlines()[-1]
