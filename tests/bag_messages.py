@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from rosbags.rosbag2 import Reader
+from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Time as Time
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as Vector3
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3Stamped as Vector3Stamped
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__JointState as JointState
+from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
 
 from physkin_core.motion.bag_reader import JOINT_STATE, TYPES
-from physkin_ros.replay.bags import BagWriter, Header, JointState, Time, Vector3, Vector3Stamped
+from physkin_ros.replay.bags import BagWriter
 
 
 def recorded(path):

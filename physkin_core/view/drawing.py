@@ -16,8 +16,7 @@ from physkin_core.look.cloth_look import cloth_look, seen_from_afar
 from physkin_core.view.page import Page
 from physkin_core.view.scene.figures import OutfitFigures
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, Colour, as_bytes, own_bands
-from physkin_core.view.scene.scene_state import Frame
-from physkin_core.view.scene.worn_splats import SplatFrame
+from physkin_core.view.scene.scene_state import Frame, SplatFrame
 from physkin_core.view.surface_node import SurfaceNode
 
 __all__ = ["Drawing", "Switches"]
@@ -104,14 +103,11 @@ class Drawing:
     def _new_surfaces(self, where: str, frame: Frame) -> list[SurfaceNode]:
         """The body and each garment."""
         outfit, server = frame.outfit, self._page.server
-        shown = outfit.body_to_draw.faces[_shown(frame)]
-        names = ["body", *(f"cloth{k}" for k in range(len(frame.cloth)))]
-        counts = [len(frame.body), *map(len, frame.cloth)]
+        meshes = {"body": (len(frame.body), outfit.body_to_draw.faces[_shown(frame)])}
+        meshes |= {f"cloth{k}": (layer.vertex_count, layer.faces) for k, layer in enumerate(outfit.layers)}
         return [
-            SurfaceNode(server, f"{where}/{name}", count, faces, colour)
-            for name, count, faces, colour in zip(
-                names, counts, (shown, *(layer.faces for layer in outfit.layers)), frame.colours
-            )
+            SurfaceNode(server, f"{where}/{name}", *mesh, colour)
+            for (name, mesh), colour in zip(meshes.items(), frame.colours)
         ]
 
     def _place(self, frame: Frame) -> None:
@@ -130,16 +126,16 @@ class Drawing:
         if heat == "skin" and self.skin_shows is not None:
             shows = np.zeros(len(frame.outfit.faces_to_draw))
             shows[: len(self.skin_shows)] = self.skin_shows
-            body.paint(SKIN_BANDS, shows[_shown(frame)], frame.body)
+            body.show(frame.body, SKIN_BANDS, shows[_shown(frame)])
         else:
-            body.paint(*self._body_paint, frame.body)
+            body.show(frame.body, *self._body_paint)
         strains = self.figures.strains_of_faces(frame) if heat == "strain" else [None] * len(cloth)
         splats = frame.splats if self.switches.splats else None
         for k, (surface, points, strain) in enumerate(zip(cloth, frame.cloth, strains)):
             if splats is not None and k == splats.garment:
                 surface.remove()
             else:
-                surface.paint(None if strain is None else STRAIN_BANDS, strain, points[:, :3])
+                surface.show(points[:, :3], None if strain is None else STRAIN_BANDS, strain)
         self._show_splats(splats, frame.colours[1:])
 
     def _show_splats(self, shown: SplatFrame | None, colours: Sequence[Colour]) -> None:
@@ -158,14 +154,13 @@ class Drawing:
     def _show_plain(self, frame: Frame) -> None:
         if frame.plain and not self._plain:
             self._plain = self._new_surfaces("/world/beside", frame)
-        if not frame.plain and self._plain:
-            for surface in self._plain:
-                surface.remove()
-            self._plain = []
+        if not frame.plain:
+            while self._plain:
+                self._plain.pop().remove()
+            return
+        self._plain[0].show(frame.body, *self._body_paint)
         for surface, vertices in zip(self._plain[1:], frame.plain):
             surface.show(vertices)
-        for surface in self._plain[:1]:
-            surface.paint(*self._body_paint, frame.body)
 
     @property
     def _body_paint(self) -> tuple[Bands | None, np.ndarray | None]:

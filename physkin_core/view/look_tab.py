@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from physkin_core.view.drawing import Drawing
 from physkin_core.view.page import Page
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, Bands, as_bytes
@@ -21,11 +23,10 @@ class LookTab:
 
     def __init__(self, page: Page, state: SceneState, drawing: Drawing) -> None:
         self._state, self._drawing = state, drawing
-        gui, switches = page.server.gui, drawing.switches
+        switches = drawing.switches
         splats = [("splats", "splats", "in place of the garment that they are of")] if state.has_splats else []
-        self._heat = gui.add_dropdown("heat map", tuple(HEATS), hint=HEAT_HINT)
-        self._heat.on_update(page.by_hand(self._change_heat))
-        self._legend = gui.add_html("", visible=False)
+        page.widget("dropdown", "heat map", tuple(HEATS), hint=HEAT_HINT, change=self._change_heat)
+        self._legend = page.server.gui.add_html("", visible=False)
         for name, label, hint in (
             ("nodes", "garment nodes", "points that carry the cloth, as bones carry a body"),
             ("wireframe", "wireframe", "the cloth's triangles"),
@@ -34,17 +35,12 @@ class LookTab:
             *splats,
             ("follow", "camera follows", "the figure stays where you look"),
         ):
-            box = gui.add_checkbox(label, getattr(switches, name), hint=hint)
-            box.on_update(page.by_hand(lambda name=name, box=box: self._switch(name, box.value)))
+            page.widget("checkbox", label, getattr(switches, name), hint=hint, change=partial(self._switch, name))
         page.lamp.cast_shadow = True
-        shadows = gui.add_checkbox("shadows", True, hint="half as many frames without a graphics card")
-        shadows.on_update(page.by_hand(lambda: setattr(page.lamp, "cast_shadow", shadows.value)))
-        plain = gui.add_checkbox(
-            "plain skinning beside",
-            False,
-            hint="a second figure, whose cloth only follows its bones: without the networks",
-        )
-        plain.on_update(page.by_hand(lambda: self._show_plain(plain.value)))
+        hint = "half as many frames without a graphics card"
+        page.widget("checkbox", "shadows", True, hint=hint, change=partial(setattr, page.lamp, "cast_shadow"))
+        hint = "a second figure, whose cloth only follows its bones: without the networks"
+        page.widget("checkbox", "plain skinning beside", False, hint=hint, change=self._show_plain)
 
     def _switch(self, name: str, on: bool) -> None:
         setattr(self._drawing.switches, name, on)
@@ -54,8 +50,8 @@ class LookTab:
         self._state.show_plain = on
         self._state.redraw()
 
-    def _change_heat(self) -> None:
-        heat = HEATS[self._heat.value]
+    def _change_heat(self, chosen: str) -> None:
+        heat = HEATS[chosen]
         self._legend.visible = heat is not None
         if heat is not None:
             self._legend.content = _legend(BANDS[heat])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from physkin_core.motion.loading import bundled_motions
@@ -15,8 +16,6 @@ STRONGEST_WIND = 10.0
 """[m/s]"""
 BY_HAND = "none, posed by hand"
 SLOWEST, FASTEST = 0.1, 2.0
-NO_MARKS = ()
-"""Below a slider: its handle would cover them."""
 
 
 class MotionTab:
@@ -24,27 +23,23 @@ class MotionTab:
 
     def __init__(self, page: Page, state: SceneState, uploads: Uploads, *, motion: str | None) -> None:
         self._page, self._state = page, state
-        gui = page.server.gui
         self._motions: dict[str, str | Path | None] = {BY_HAND: None} | {name: name for name in bundled_motions()}
         chosen = next((label for label, name in self._motions.items() if name == motion), None)
         if chosen is None:
             chosen = Path(motion).name
             self._motions[chosen] = motion
-        self._motion = gui.add_dropdown("motion", tuple(self._motions), initial_value=chosen)
-        self._motion.on_update(page.by_hand(self._change_motion))
-        self._play = gui.add_button("Pause", icon="player-pause")
-        self._play.on_click(page.by_hand(self._play_or_pause))
-        self._time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0, marks=NO_MARKS)
-        self._time.on_update(page.by_hand(self._scrub))
+        motions, change = tuple(self._motions), self._change_motion
+        self._motion = page.widget("dropdown", "motion", motions, initial_value=chosen, change=change)
+        self._play = page.widget("button", "Pause", icon="player-pause", change=self._play_or_pause)
+        self._time = page.widget("slider", "time [s]", 0.0, 1.0, 0.01, 0.0, change=self._scrub)
         hint = f"times as fast as it was recorded, {SLOWEST} to {FASTEST}"
-        speed = gui.add_slider("speed", SLOWEST, FASTEST, 0.05, 1.0, marks=NO_MARKS, hint=hint)
-        speed.on_update(page.by_hand(lambda: setattr(state, "speed", speed.value)))
+        change = partial(setattr, state, "speed")
+        page.widget("slider", "speed", SLOWEST, FASTEST, 0.05, 1.0, hint=hint, change=change)
         hint = "how much the cloth lags, swings and settles, 0 to 1"
-        sway = gui.add_slider("sway", 0.0, 1.0, 0.05, state.sway, marks=NO_MARKS, hint=hint)
-        sway.on_update(page.by_hand(lambda: setattr(state, "sway", sway.value)))
+        page.widget("slider", "sway", 0.0, 1.0, 0.05, state.sway, hint=hint, change=partial(setattr, state, "sway"))
         hint = "along the floor's X axis, in an avatar's back as it stands at first; below 0 in its face"
-        wind = gui.add_slider("wind [m/s]", -STRONGEST_WIND, STRONGEST_WIND, 0.5, state.wind, marks=NO_MARKS, hint=hint)
-        wind.on_update(page.by_hand(lambda: state.blow(wind.value)))
+        strengths = -STRONGEST_WIND, STRONGEST_WIND, 0.5, state.wind
+        page.widget("slider", "wind [m/s]", *strengths, hint=hint, change=state.blow)
         hint = "BVH, AMC (send its ASF before it), a bag's .mcap or .db3 file"
         uploads.add_button("Load a motion", hint=hint, load=self._load)
         self.follow()
@@ -62,23 +57,23 @@ class MotionTab:
             self._time.max = duration
         self._time.value = min(round(state.seconds, 2), duration) if there else 0.0
 
-    def _change_motion(self) -> None:
-        motion = self._motions[self._motion.value]
+    def _change_motion(self, chosen: str) -> None:
+        motion = self._motions[chosen]
         self._state.choose_motion(motion)
         if motion is not None:
             self._state.play()
         self.follow()
 
-    def _play_or_pause(self) -> None:
+    def _play_or_pause(self, _) -> None:
         if self._state.playing:
             self._state.pause()
         else:
             self._state.play()
         self.follow()
 
-    def _scrub(self) -> None:
+    def _scrub(self, seconds: float) -> None:
         self._state.pause()
-        self._state.scrub(self._time.value)
+        self._state.scrub(seconds)
 
     def _load(self, path: Path) -> None:
         with self._page.busy(f"Reading {path.name}"):

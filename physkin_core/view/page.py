@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 from physkin_core.extras import install_command
 from physkin_core.file_reading import sentence
@@ -113,14 +113,19 @@ class Page:
 
         return called
 
-    def by_hand(self, change: Callable[[], None]) -> Callable[..., None]:
-        """A guarded callback of a widget for changes that a person makes, not for those that the program does."""
+    def widget(self, kind: str, label: str, *settings, change: Callable[[Any], None], **look):
+        """One of viser's widgets, such as a "slider". change: is given the value that a person sets, not what the
+        program does; its errors show as notices. settings, look: as viser's `add_slider` takes them."""
+        if kind == "slider":
+            look["marks"] = ()  # its handle would cover them
+        made = getattr(self.server.gui, f"add_{kind}")(label, *settings, **look)
 
-        def called(event) -> None:
+        def changed(event) -> None:
             if event.client_id is not None:
-                change()
+                change(made.value)
 
-        return self.guarded(called)
+        (made.on_click if kind == "button" else made.on_update)(self.guarded(changed))
+        return made
 
     def report(self, error: Exception) -> None:
         """Show an error that was raised: bad input by its sentence, anything else by its kind too, and in the log."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.rig.rig import Rig
-from physkin_core.view.motion_tab import NO_MARKS
 from physkin_core.view.page import Page
 from physkin_core.view.scene.scene_state import SceneState
 
@@ -27,10 +26,9 @@ class PoseTab:
 
     def __init__(self, page: Page, state: SceneState, tab: viser.GuiTabHandle) -> None:
         self._page, self._state, self._tab = page, state, tab
-        self._gui = page.server.gui
         with tab:
-            rest = self._gui.add_button("Rest pose", icon="rotate", hint="the canonical pose, upright")
-        rest.on_click(page.guarded(lambda event: state.rest()))
+            hint = "the canonical pose, upright"
+            page.widget("button", "Rest pose", icon="rotate", hint=hint, change=lambda _: state.rest())
         self._sliders: dict[int, object] = {}
         self._folders: list = []
         self._shown: tuple = ()
@@ -56,7 +54,7 @@ class PoseTab:
         self._folders = []
         with self._tab:
             for part, joints in joint_groups(rig).items():
-                self._folders.append(self._gui.add_folder(f"{part} [degrees]", expand_by_default=False))
+                self._folders.append(self._page.server.gui.add_folder(f"{part} [degrees]", expand_by_default=False))
                 with self._folders[-1]:
                     for joint in joints:
                         self._add_slider(joint, *np.degrees([rig.lower[joint], rig.upper[joint], positions[joint]]))
@@ -65,9 +63,11 @@ class PoseTab:
         low, high = float(np.ceil(lower)), float(np.floor(upper))
         start = float(np.clip(round(position), low, high))
         hint = f"{self._names[joint]}: {low:.0f} to {high:.0f} degrees"
-        slider = self._gui.add_slider(self._names[joint], low, high, STEP, start, hint=hint, marks=NO_MARKS)
-        slider.on_update(self._page.by_hand(lambda: self._state.set_joint(joint, np.radians(slider.value))))
-        self._sliders[joint] = slider
+        self._sliders[joint] = self._page.widget(
+            *("slider", self._names[joint], low, high, STEP, start),
+            hint=hint,
+            change=lambda degrees: self._state.set_joint(joint, np.radians(degrees)),
+        )
 
 
 def joint_groups(rig: Rig) -> dict[str, list[int]]:

@@ -29,7 +29,7 @@ class SurfaceNode:
         self._count, self._faces = vertex_count, faces
         self.colour, self._wireframe = colour, False
         self._bands, self._values = UNPAINTED, None
-        self._parts = self._divided()
+        self._parts: list[Part] = []
         self._handles: list = []
 
     def look(self, colour: Colour, *, wireframe: bool = False) -> None:
@@ -39,43 +39,32 @@ class SurfaceNode:
             for handle, each in zip(self._handles, self._bands.colours):
                 handle.color, handle.wireframe = as_bytes(each or colour), wireframe
 
-    def show(self, vertices: np.ndarray) -> None:
-        """Move vertices (n, 3) [m] to where they are now; their paint stays on the faces."""
+    def show(self, vertices: np.ndarray, bands: Bands | None = None, values: np.ndarray | None = None) -> None:
+        """Move vertices (n, 3) [m] to where they are now, and give faces the colours of their values (f,) in bands, or
+        without bands the mesh's own. Values are looked at anew when they are another array."""
+        bands = bands or UNPAINTED
+        if bands is not self._bands:
+            self.remove()
+        painted = not self._parts or bands is not self._bands or values is not self._values
+        if painted:
+            self._bands, self._values = bands, values
+            band = bands.band(np.zeros(len(self._faces)) if values is None else values)
+            self._parts = parts_of(self._faces, band, bands=len(bands.colours), vertex_count=self._count)
         if not self._handles:
             self._handles = [self._added(k, part, vertices) for k, part in enumerate(self._parts)]
             return
         for handle, part in zip(self._handles, self._parts):
-            if len(part.faces):
+            if painted:
+                handle.faces, handle.vertices = _arrays(part, vertices)
+                handle.visible = bool(len(part.faces))
+            elif len(part.faces):
                 handle.vertices = vertices[part.vertices]
-
-    def paint(self, bands: Bands | None, values: np.ndarray | None, vertices: np.ndarray) -> None:
-        """Give faces the colours of their values (f,), or with None the mesh's own; vertices (n, 3) as for `show`.
-        Values are looked at anew when they are another array."""
-        bands = bands or UNPAINTED
-        if bands is not self._bands:
-            self.remove()
-        same = bands is self._bands and values is self._values
-        if not same:
-            self._bands, self._values = bands, values
-            self._parts = self._divided()
-        if same or not self._handles:
-            self.show(vertices)
-            return
-        for handle, part in zip(self._handles, self._parts):
-            handle.faces, handle.vertices = _arrays(part, vertices)
-            handle.visible = bool(len(part.faces))
 
     def remove(self) -> None:
         """Take it off the page."""
         for handle in self._handles:
             handle.remove()
         self._handles = []
-
-    def _divided(self) -> list[Part]:
-        """A part for each band."""
-        values = np.zeros(len(self._faces)) if self._values is None else self._values
-        bands = len(self._bands.colours)
-        return parts_of(self._faces, self._bands.band(values), bands=bands, vertex_count=self._count)
 
     def _added(self, index: int, part: Part, vertices: np.ndarray):
         faces, points = _arrays(part, vertices)

@@ -21,8 +21,6 @@ __all__ = ["begin", "command_parser", "end_at_sigterm", "main"]
 
 WORN = ("trousers", "tshirt")
 """By default, from the skin outwards."""
-TIDIES_WITHIN = 5
-"""[s] Then the system ends it."""
 ROS_PAGE = "physkin_ros.tools.view"
 """What `--ros` needs; imported only then."""
 
@@ -76,14 +74,8 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
 
 
 def end_at_sigterm() -> None:
-    """End with status 143 at SIGTERM, tidily; whatever keeps the process from that ends with it some seconds later."""
-    signal.signal(signal.SIGTERM, _end)
-
-
-def _end(*_) -> None:
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(TIDIES_WITHIN)
-    sys.exit(143)
+    """End with status 143 at SIGTERM, tidily."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
 
 
 def begin(page: Page, *, browser: bool) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future
 from time import perf_counter
 
 import numpy as np
@@ -14,13 +13,11 @@ from physkin_core.view.look_tab import LookTab
 from physkin_core.view.motion_tab import MotionTab
 from physkin_core.view.page import Page, Readout
 from physkin_core.view.pose_tab import PoseTab
-from physkin_core.view.scene.figures import Contact, FigureProcess
+from physkin_core.view.scene.figures import Contact, figure_process, look_at_contact
 from physkin_core.view.scene.scene_state import Frame, SceneState
 from physkin_core.view.uploads import Uploads
 
 __all__ = ["Viewer"]
-
-log = logging.getLogger(__name__)
 
 WIDGETS_EVERY, LOOK_EVERY = 0.25, 1.0
 """[s] between two updates of the widgets, and between two looks at contact while something moves."""
@@ -44,7 +41,7 @@ class Viewer:
 
     def __init__(self, page: Page, state: SceneState, *, motion: str | None) -> None:
         self._page, self._state = page, state
-        self._drawing, self._process = Drawing(page), FigureProcess()
+        self._drawing, self._process = Drawing(page), figure_process()
         uploads, gui = Uploads(page), page.server.gui
         self._speed = Readout(page, SPEED)
         tabs = gui.add_tab_group()
@@ -58,9 +55,10 @@ class Viewer:
             self._fit = Readout(page, FIT)
         self._frame: Frame | None = None
         self._contact: Contact | None = None
-        self._looked_at: tuple | None = None
+        self._answer: Future[Contact] | None = None
+        self._asked: tuple | None = None
         self._looks = True
-        self._widgets_at = self._look_at = 0.0
+        self._widgets_at = self._asked_at = 0.0
         self._drawn, self._moved_at = 0, 0.0
 
     def tick(self, seconds: float) -> None:
@@ -83,36 +81,33 @@ class Viewer:
 
     def close(self) -> None:
         """End what runs beside the page."""
-        self._process.close()
+        self._process.shutdown(wait=False, cancel_futures=True)
 
     def _look_at_contact(self) -> None:
-        """Ask about the frame drawn last where that has not been asked, and show what is answered. After an error there
-        are no more such figures; where something has ended the process, another one is asked."""
+        """Show what was answered, and ask about the frame drawn last where that has not been asked. After an error
+        there are no more such figures."""
         if not self._looks or self._frame is None:
             return
         try:
-            self._ask_and_answer()
-        except BrokenProcessPool:
-            log.warning("the process that measures contact has ended; another one is started")
-            self._process.restart()
-            self._looked_at, self._look_at = None, perf_counter()
+            if self._answer is not None and self._answer.done():
+                answer, self._answer = self._answer, None
+                self._show_contact(answer.result())
+            asked, now = (self._frame.pose, self._frame.outfit), perf_counter()
+            changed = self._asked is None or any(a is not b for a, b in zip(asked, self._asked))
+            if changed and self._answer is None and now - self._asked_at >= LOOK_EVERY:
+                question = self._drawing.figures.question(self._frame)
+                self._answer = self._process.submit(look_at_contact, **question)
+                self._asked, self._asked_at = asked, now
         except Exception:
             self._looks, self._contact = False, None
             raise
 
-    def _ask_and_answer(self) -> None:
-        found = self._process.answer()
-        if found is not None and len(found.skin_shows) == len(self._frame.outfit.avatar.faces):
+    def _show_contact(self, found: Contact) -> None:
+        if len(found.skin_shows) == len(self._frame.outfit.avatar.faces):  # else of the body before
             self._contact = found
             self._drawing.skin_shows = found.skin_shows
             if self._drawing.switches.heat == "skin":
                 self._state.redraw()
-        asked = self._frame.pose, self._frame.outfit
-        now = perf_counter()
-        changed = self._looked_at is None or any(a is not b for a, b in zip(asked, self._looked_at))
-        if changed and not self._process.busy and now - self._look_at >= LOOK_EVERY:
-            self._process.ask(self._drawing.figures.question(self._frame))
-            self._looked_at, self._look_at = asked, now
 
     def _show_widgets(self, seconds: float) -> None:
         frame, contact = self._frame, self._contact

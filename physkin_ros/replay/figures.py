@@ -145,12 +145,18 @@ def regressions(figures: Mapping, baseline: Mapping) -> list[str]:
         new, old = figures[section][key], baseline[section].get(key)
         if new != old:
             raise BaselineError(f"the baseline cannot be compared: its {section} {key} is {old}, this one's is {new}")
-    worse = []
-    for (name, kind), (share, margin) in TOLERANCES.items():
-        new, old = figures["figures"][name][kind], _number(baseline["figures"], name, kind)
-        worse += _grown(f"{name} {kind}", new, old, share, margin)
+    grown = {
+        f"{name} {kind}": (figures["figures"][name][kind], _number(baseline["figures"], name, kind), *allowed)
+        for (name, kind), allowed in TOLERANCES.items()
+    }
     for name in ("rejected", "gravity_rejected"):
-        worse += _grown(name, figures["counts"][name], _number(baseline, "counts", name), 0, 0)
+        grown[name] = figures["counts"][name], _number(baseline["counts"], name), 0, 0
+    worse = []
+    for name, (new, old, share, margin) in grown.items():
+        if old is not None and new is None:
+            worse.append(f"{name} is missing; it was {old:.4g}")
+        elif old is not None and new > (allowed := old + share * abs(old) + margin):
+            worse.append(f"{name} is {new:.4g}; it was {old:.4g}, allowed is {allowed:.4g}")
     return worse
 
 
@@ -200,17 +206,9 @@ def _rounded(values: np.ndarray) -> list[float | None]:
 
 
 def _number(figures: Mapping, *keys: str) -> float | None:
+    """Of a baseline, None where it has none."""
     for key in keys:
         figures = figures.get(key) if isinstance(figures, Mapping) else None
     if figures is not None and (isinstance(figures, bool) or not isinstance(figures, (int, float))):
         raise BaselineError(f"the baseline's {' '.join(keys)} is {figures!r}; it must be a number")
     return figures
-
-
-def _grown(name: str, new: float | None, old: float | None, share: float, margin: float) -> list[str]:
-    if old is None:
-        return []
-    if new is None:
-        return [f"{name} is missing; it was {old:.4g}"]
-    allowed = old + share * abs(old) + margin
-    return [f"{name} is {new:.4g}; it was {old:.4g}, allowed is {allowed:.4g}"] if new > allowed else []

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from physkin_core import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.motion.bag_reader import Recorded, decode
 from physkin_ros.root.root_state import RootState, stamp_of
@@ -17,25 +13,24 @@ __all__ = ["RecordedRoot"]
 class RecordedRoot:
     """Of one garment. Time is that of recording where the node takes its own clock's.
 
-    orientation, frame_id, world_frame: as the node's parameters. gravity: (3,) direction in the root frame until a
-    message says another. sway: how much cloth swings, 0 to 1. down: unit direction (3,) that goes with the last joint
-    state. fault: why TF does not say where the root is, "" where it does or is not asked.
+    orientation, frame_id, world_frame: as the node's parameters. sway: how much cloth swings, 0 to 1. rows: (1, 13)
+    float32, what `Outfit.bind_frame` reads for an outfit of one garment; changed in place by `begin_frame`. down: unit
+    direction (3,) that goes with the last joint state, upright until a message says another.
     """
 
     def __init__(
         self,
         orientation: str = "gravity",
         *,
-        gravity: Sequence[float] = UPRIGHT_GRAVITY,
         sway: float = 1.0,
         frame_id: str = "base_link",
         world_frame: str = "world",
     ) -> None:
         self.orientation, self.sway = orientation, sway
         self._frames, self._now_ns = (frame_id, world_frame), 0
-        self.frame_input = FrameInput(1)
-        self.frame_input.sway = (sway,)
-        self._root = root = RootState(gravity, self.frame_input, clock=lambda: self._now_ns)
+        frame_input = FrameInput(1)
+        frame_input.sway, self.rows = (sway,), frame_input.rows
+        self._root = root = RootState(UPRIGHT_GRAVITY, frame_input, clock=lambda: self._now_ns)
         self.down = root.direction(0)
         self._takers = {
             "gravity": root.on_direction,
@@ -49,13 +44,8 @@ class RecordedRoot:
 
     @property
     def fault(self) -> str:
+        """Why TF does not say where the root is, "" where it does or is not asked."""
         return self._root.fault
-
-    @property
-    def rows(self) -> np.ndarray:
-        """(1, 13) float32, what `Outfit.bind_frame` reads for an outfit of one garment; changed in place by
-        `begin_frame`."""
-        return self.frame_input.rows
 
     def take(self, message: Recorded) -> None:
         """Take a message about the root. Raises ValueError for one that cannot be; what was known then goes on."""

@@ -220,7 +220,7 @@ class RosPage:
             body.frame_id = next(named, next(iter(frames.values())))
             positions = self._rig.joint_positions(body.positions)
             bones = self._rig.bone_transforms(positions, heads=self._loaded.avatar.bone_heads)
-            body.surface.paint(*self._own, self._loaded.avatar.posed_vertices(bones))
+            body.surface.show(self._loaded.avatar.posed_vertices(bones), *self._own)
 
     def _place(self) -> None:
         """Everything where its frame is."""

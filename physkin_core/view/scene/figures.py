@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,22 +22,10 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.quality import contact_figures, edge_strains, signed_distance
 from physkin_core.view.scene.scene_state import Frame
 
-__all__ = ["Contact", "ContactQuestion", "FigureProcess", "OutfitFigures", "look_at_contact"]
+__all__ = ["Contact", "OutfitFigures", "figure_process", "look_at_contact"]
 
 POLITENESS = 10
 """Frames go first."""
-
-
-@dataclass(frozen=True)
-class ContactQuestion:
-    """What `look_at_contact` needs, to be sent to another process: cloth (n, 3), cloth_faces (g, 3), hem_distance (n,),
-    body (V, 3), body_faces (F, 3)."""
-
-    cloth: np.ndarray
-    cloth_faces: np.ndarray
-    hem_distance: np.ndarray
-    body: np.ndarray
-    body_faces: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -51,11 +39,14 @@ class Contact:
     skin_shows: np.ndarray
 
 
-def look_at_contact(question: ContactQuestion) -> Contact:
-    """Some tenths of a second."""
-    cloth, body, faces = question.cloth.astype(np.float64), question.body.astype(np.float64), question.body_faces
-    found = contact_figures(signed_distance(cloth, body, faces))
-    skin = skin_shows(Surface(body, faces), Surface(cloth, question.cloth_faces, question.hem_distance))
+def look_at_contact(
+    *, cloth: np.ndarray, cloth_faces: np.ndarray, hem_distance: np.ndarray, body: np.ndarray, body_faces: np.ndarray
+) -> Contact:
+    """Some tenths of a second. cloth (n, 3), cloth_faces (g, 3), hem_distance (n,) [m], body (V, 3), body_faces
+    (F, 3)."""
+    cloth, body = cloth.astype(np.float64), body.astype(np.float64)
+    found = contact_figures(signed_distance(cloth, body, body_faces))
+    skin = skin_shows(Surface(body, body_faces), Surface(cloth, cloth_faces, hem_distance))
     return Contact(
         inside_percent=found["inside_percent"],
         deepest_mm=found["max_depth_mm"],
@@ -85,12 +76,18 @@ class OutfitFigures:
         """For every face (f,) of each garment, the mean [%] of its corners', a corner's being that of its edges."""
         return [_carried_to_faces(garment, strain) for garment, strain in zip(self._garments, self.strains(frame))]
 
-    def question(self, frame: Frame) -> ContactQuestion:
-        """Of a frame; it keeps no array that the next frame overwrites."""
+    def question(self, frame: Frame) -> dict[str, np.ndarray]:
+        """What `look_at_contact` needs of a frame; no array that the next frame overwrites."""
         cloth = np.concatenate([points[:, :3] for points in frame.cloth])
         avatar = self.outfit.avatar  # not as it is drawn
         body = avatar.posed_vertices(self.outfit.bone_transforms(frame.pose.positions))
-        return ContactQuestion(cloth, self._faces, self._hem_distance, body, avatar.faces)
+        return {
+            "cloth": cloth,
+            "cloth_faces": self._faces,
+            "hem_distance": self._hem_distance,
+            "body": body,
+            "body_faces": avatar.faces,
+        }
 
 
 def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:
@@ -100,47 +97,9 @@ def _carried_to_faces(garment: Garment, of_edges: np.ndarray) -> np.ndarray:
     return of_corners[garment.faces].mean(axis=1)
 
 
-class FigureProcess:
-    """A process of its own that looks at contact, one question at a time, so that frames need not wait."""
-
-    def __init__(self) -> None:
-        self._asked: Future[Contact] | None = None
-        self._pool = self._begun()
-
-    @property
-    def busy(self) -> bool:
-        """Whether an answer has not been taken."""
-        return self._asked is not None
-
-    def ask(self, question: ContactQuestion) -> None:
-        """Raises RuntimeError where it is busy, BrokenProcessPool where something has ended the process."""
-        if self.busy:
-            raise RuntimeError("a question has not been answered yet")
-        self._asked = self._pool.submit(look_at_contact, question)
-
-    def answer(self) -> Contact | None:
-        """Once, when it is there. Raises what looking has raised; BrokenProcessPool where the process was ended."""
-        if self._asked is None or not self._asked.done():
-            return None
-        asked, self._asked = self._asked, None
-        return asked.result()
-
-    def restart(self) -> None:
-        """Begin another process, where something has ended this one. What was asked is forgotten."""
-        self.close()
-        self._asked, self._pool = None, self._begun()
-
-    def close(self) -> None:
-        """End the process, in the midst of a question if need be: Python would wait for the answer before it ends."""
-        begun = list((self._pool._processes or {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in begun:
-            process.kill()
-
-    @staticmethod
-    def _begun() -> ProcessPoolExecutor:
-        spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
+def figure_process() -> ProcessPoolExecutor:
+    """A process of its own that looks at contact, so that frames need not wait."""
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
 
 
 def _begin() -> None:

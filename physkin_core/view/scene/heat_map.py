@@ -78,10 +78,10 @@ class Part:
 
 def parts_of(faces: np.ndarray, band: np.ndarray, *, bands: int, vertex_count: int) -> list[Part]:
     """A mesh's faces (f, 3) apart by their band (f,), one part for each of so many bands."""
-    return [_part(faces[band == k], vertex_count) for k in range(bands)]
 
+    def part(chosen: np.ndarray) -> Part:
+        used = np.zeros(vertex_count, dtype=bool)
+        used[chosen] = True
+        return Part(np.flatnonzero(used), (np.cumsum(used) - 1)[chosen].astype(np.uint32))
 
-def _part(faces: np.ndarray, vertex_count: int) -> Part:
-    used = np.zeros(vertex_count, dtype=bool)
-    used[faces] = True
-    return Part(np.flatnonzero(used), (np.cumsum(used) - 1)[faces].astype(np.uint32))
+    return [part(faces[band == k]) for k in range(bands)]

@@ -6,7 +6,7 @@ Dimensions: `d` degrees of freedom, `V` body vertices, `v` vertices given of a g
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock, RLock
@@ -24,18 +24,31 @@ from physkin_core.outfit.coverage import OwnClothes
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import named_garments
 from physkin_core.pictures.picture import BODY_COLOUR
+from physkin_core.points.point_files import splat_colours
+from physkin_core.points.splat_draper import SplatSkinner
+from physkin_core.points.splats import Splats
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_core.view.scene.heat_map import Colour
 from physkin_core.view.scene.motion_player import MotionPlayer, Pose, standing_pose
-from physkin_core.view.scene.worn_splats import SplatFrame, WornSplats
 
-__all__ = ["Frame", "SceneState"]
+__all__ = ["Frame", "SceneState", "SplatFrame"]
 
 TIMED_FRAMES = 60
 """Frames whose times the read-out is the median of."""
 SETTLES_WITHIN = 3.0
 """[s] after a motion has paused, cloth that sways hangs still."""
+
+
+@dataclass(frozen=True)
+class SplatFrame:
+    """Gaussian splats that are drawn in place of garment number `garment`, in the root frame. colours: (n, 3) sRGB in
+    [0, 1], None for the garment's. opacity: (n,) in [0, 1]."""
+
+    splats: Splats
+    garment: int
+    colours: np.ndarray | None
+    opacity: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -66,8 +79,9 @@ class SceneState:
 
     loader: of all files. garments: names of shipped models or files, from the skin outwards; tucked: those of them
     whose hem is under the next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as
-    `load_motion` takes it, or None. fit, own_clothes: as of `Outfit`. separate_limbs: whether poses go through a
-    `LimbSeparator`. points: a file of splats where one of the garments lies; while that is worn, frames have them.
+    `load_motion` takes it, or None. fit, own_clothes: as of `Outfit`. points: a file of splats where one of the
+    garments lies; while that is worn, frames have them; has_splats: whether there is one. separate_limbs: whether poses
+    go through a `LimbSeparator`.
     warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
     motion; seconds: its time. sway: as of `Outfit`. wind: [m/s] along the world's X axis, changed by `blow`. pose:
     shown now; posed_by_hand: whether a joint was set last. show_plain: compute plain skinning too.
@@ -85,11 +99,10 @@ class SceneState:
         motion: str | Path | None = None,
         fit: float | None = None,
         own_clothes: OwnClothes = "replace",
-        separate_limbs: bool = False,
         points: str | Path | None = None,
     ) -> None:
         self._loader, self._points, self._fit, self._own_clothes = loader, points, fit, own_clothes
-        self._splats: WornSplats | None = None
+        self.has_splats = points is not None
         self._binding, self._lock = Lock(), RLock()
         self._changed = True
         self._player: MotionPlayer | None = None
@@ -102,7 +115,7 @@ class SceneState:
         self._chosen_colours: dict[str, Colour] = {}
         self.garments: tuple[str, ...] = ()
         self.tucked: frozenset[str] = frozenset()
-        self.body, self.rig_file, self.separate_limbs = Path(body), rig_file, separate_limbs
+        self.body, self.rig_file, self.separate_limbs = Path(body), rig_file, False
         self.outfit: Outfit | None = None
         self.wear(garments, tucked=tucked)
         if motion is not None:
@@ -111,20 +124,24 @@ class SceneState:
 
     # --- Who wears what: takes a second or two ---
 
-    def wear(self, garments: Sequence[str], *, tucked: Sequence[str] = ()) -> None:
-        """Put on other garments."""
+    def wear(
+        self,
+        garments: Sequence[str] | None = None,
+        *,
+        tucked: Collection[str] = (),
+        body: str | Path | None = None,
+        rig_file: str | Path | None = None,
+        separate_limbs: bool | None = None,
+    ) -> None:
+        """Put on other garments, or the same on another body, or on one whose limbs are separated before draping, or
+        no longer. What is not given stays; tucked goes with garments, rig_file with body."""
         with self._binding:
-            self._dress(garments, tucked, self.body, self.rig_file, self.separate_limbs)
-
-    def put_on(self, body: str | Path, *, rig_file: str | Path | None = None) -> None:
-        """Put the garments on another body."""
-        with self._binding:
-            self._dress(self.garments, self.tucked, Path(body), rig_file, self.separate_limbs)
-
-    def separate(self, limbs: bool) -> None:
-        """Separate limbs before draping, or no longer."""
-        with self._binding:
-            self._dress(self.garments, self.tucked, self.body, self.rig_file, limbs)
+            if garments is None:
+                garments, tucked = self.garments, self.tucked
+            if body is None:
+                body, rig_file = self.body, self.rig_file
+            limbs = self.separate_limbs if separate_limbs is None else separate_limbs
+            self._dress(garments, tucked, Path(body), rig_file, limbs)
 
     def _dress(self, garments, tucked, body, rig_file, separate_limbs) -> None:
         if not garments:
@@ -145,7 +162,10 @@ class SceneState:
         rig, avatar = outfit.rig, outfit.avatar
         player = None if self._player is None else MotionPlayer(self._player.motion, rig, avatar)
         separator = None if loaded.limbs is None else LimbSeparator.from_bound(loaded.limbs)
-        splats = None if loaded.splats is None else WornSplats(loaded.splats)
+        splats = None
+        if loaded.splats is not None:
+            skinner = SplatSkinner(loaded.splats.bound)
+            splats = loaded.splats.garment, skinner, splat_colours(loaded.splats.look, skinner.splat_count)
         with self._lock:
             posed = self.outfit is not None and self.rig.joint_names == rig.joint_names
             positions = self.pose.positions if posed else rig.rest
@@ -177,11 +197,6 @@ class SceneState:
             changed = [k for k, (old, new) in enumerate(zip(self.cloth_colours, cloth)) if old != new]
             self._chosen_colours |= {self._files[k]: cloth[k] for k in changed}
             self._changed = True
-
-    @property
-    def has_splats(self) -> bool:
-        """Whether there is a file of splats."""
-        return self._points is not None
 
     # --- In which pose ---
 
@@ -228,8 +243,7 @@ class SceneState:
     def set_joint(self, joint: int, position: float) -> None:
         """Turn one joint to a position [rad], within its limits; a motion pauses."""
         with self._lock:
-            self.playing = False
-            self.posed_by_hand = True
+            self.playing, self.posed_by_hand = False, True
             positions = self.pose.positions.copy()
             positions[joint] = np.clip(position, self.rig.lower[joint], self.rig.upper[joint])
             self.pose = Pose(positions, self.pose.root_orientation, self.pose.root_position)
@@ -238,8 +252,7 @@ class SceneState:
     def rest(self) -> None:
         """The canonical pose, upright; a motion pauses."""
         with self._lock:
-            self.playing = False
-            self.posed_by_hand = False
+            self.playing = self.posed_by_hand = False
             self.pose = standing_pose(self.rig.rest, self.outfit.avatar)
             self._changed = True
 
@@ -288,8 +301,15 @@ class SceneState:
             if self.show_plain
             else (),
             nodes=tuple(each[..., 3] for each in transforms),
-            splats=None if self._splats is None else self._splats.frame(transforms, outfit.features()),
+            splats=self._splat_frame(transforms),
             colours=(self.body_colour, *self.cloth_colours),
             own_colours=self._own_colours,
             microseconds=float(np.median(self._times)),
         )
+
+    def _splat_frame(self, node_transforms: tuple[np.ndarray, ...]) -> SplatFrame | None:
+        if self._splats is None:
+            return None
+        garment, skinner, look = self._splats
+        splats = skinner.skin(node_transforms[garment], self.outfit.features()[garment])
+        return SplatFrame(splats, garment, *look)

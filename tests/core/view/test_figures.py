@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import time
-from concurrent.futures import CancelledError
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +9,7 @@ import pytest
 
 from physkin_core.check.garment_check import rest_check
 from physkin_core.quality import edge_strain
-from physkin_core.view.scene.figures import FigureProcess, OutfitFigures, look_at_contact
+from physkin_core.view.scene.figures import OutfitFigures, look_at_contact
 from physkin_core.view.scene.heat_map import SKIN_BANDS, STRAIN_BANDS, parts_of
 from physkin_core.view.scene.scene_state import SceneState
 
@@ -64,62 +60,18 @@ def test_contact_is_what_check_finds(dressed):
     """On the body at rest as it is, not as it is drawn, and with a bump that comes through the cloth."""
     figures, frame = dressed
     question = figures.question(frame)
-    own, faces = question.body, frame.outfit.avatar.faces
+    own, faces = question["body"], frame.outfit.avatar.faces
     pose = frame.outfit.bone_transforms(frame.pose.positions)
     np.testing.assert_array_equal(own, frame.outfit.avatar.posed_vertices(pose))
     assert not np.allclose(own, frame.body, atol=1e-3)
     chest = np.linalg.norm(own - frame.cloth[0][np.argmax(frame.cloth[0][:, 0]), :3], axis=1) < 0.08
     for body in (own, own + 0.05 * chest[:, None] * np.array([1.0, 0.0, 0.0], dtype=np.float32)):
-        found = look_at_contact(replace(question, body=body))
+        found = look_at_contact(**(question | {"body": body}))
         expected = rest_check(figures.outfit.layers[0].rest_garment, frame.cloth[0][:, :3], body, faces)
         assert found.inside_percent == pytest.approx(expected.inside_percent)
         assert found.deepest_mm == pytest.approx(expected.deepest_mm, rel=1e-4)
         assert found.skin_shows_percent == pytest.approx(expected.skin_shows_percent)
     assert found.inside_percent > 0.1 and found.skin_shows.any() and found.skin_shows.mean() < 0.05
-
-
-def test_process_answers_as_the_function_and_tells_of_errors(dressed):
-    figures, frame = dressed
-    process = FigureProcess()
-    try:
-        question = figures.question(frame)
-        process.ask(question)
-        with pytest.raises(RuntimeError, match="has not been answered"):
-            process.ask(question)
-        found = _answer(process)
-        assert found.inside_percent == look_at_contact(question).inside_percent and not process.busy
-        process.ask(replace(question, body_faces=question.body_faces + len(question.body)))
-        with pytest.raises(IndexError):
-            _answer(process)
-    finally:
-        process.close()
-
-
-def test_closing_waits_for_no_answer(dressed):
-    """However long a question takes."""
-    figures, frame = dressed
-    process = FigureProcess()
-    process.ask(figures.question(frame))
-    (child,) = process._pool._processes.values()
-    asked = process._asked
-    process.close()
-    with pytest.raises((BrokenProcessPool, CancelledError)):
-        asked.result(10)
-    assert _soon(lambda: child.exitcode) == -signal.SIGKILL  # the pool's thread waits for it, too: join() may miss it
-
-
-def _answer(process):
-    return _soon(process.answer)
-
-
-def _soon(ask):
-    """What `ask` gives as soon as it gives anything."""
-    end = time.monotonic() + 60
-    while time.monotonic() < end:
-        if (found := ask()) is not None:
-            return found
-        time.sleep(0.02)
-    raise TimeoutError
 
 
 def test_bands_part_a_mesh():

@@ -5,17 +5,21 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 
 from physkin_core import cli
+from physkin_core.model.model_file import MODELS_PATH
+from physkin_core.view.scene.figures import look_at_contact
 from physkin_core.view.scene.scene_state import SceneState
 
 pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
@@ -141,46 +145,62 @@ def test_error_is_a_notice(shown, browser):
     assert browser.errors == []
 
 
-def test_figures_come_back(asset_loader):
-    """After the process that finds them was ended, though nothing moves."""
+def test_figures_come_from_a_process_until_that_ends(asset_loader, monkeypatch):
+    """Those of the pose shown; that there will be no more is told once, and frames go on."""
+    monkeypatch.setattr("physkin_core.view.viewer.LOOK_EVERY", 0.0)
     state, page = SceneState(asset_loader, ["tshirt"], motion=None), Page(port=8392)
     viewer = Viewer(page, state, motion=None)
 
-    def until_found() -> None:
+    def until(true) -> None:
         end = time.monotonic() + 60
-        while viewer._contact is None:
+        while not true():
             assert time.monotonic() < end
             viewer.tick(0.05)
             time.sleep(0.05)
 
     try:
-        until_found()
-        (pid,) = viewer._process._pool._processes
+        until(lambda: viewer._contact is not None)
+        question = viewer._drawing.figures.question(viewer._frame)
+        assert viewer._contact.inside_percent == look_at_contact(**question).inside_percent
+        (pid,) = viewer._process._processes
         os.kill(pid, signal.SIGKILL)
-        viewer._contact = None
         state.set_joint(0, 0.1)
-        until_found()
-        assert pid not in viewer._process._pool._processes
+        with pytest.raises(BrokenProcessPool):
+            until(lambda: False)
+        state.set_joint(0, 0.2)
+        viewer.tick(0.05)
+        assert viewer._frame.pose is state.pose and viewer._contact is None
     finally:
         viewer.close()
         page.server.stop()
 
 
-@pytest.mark.parametrize("swallowed", [False, True])
-def test_sigterm_ends_whatever_is_being_done(swallowed):
-    """With status 143; where something keeps the process from that, the system ends it."""
-    lines = ["import time", "from physkin_core.view import view", "view.TIDIES_WITHIN = 1", "view.end_at_sigterm()"]
-    busy = "print('ready', flush=True); time.sleep(60)"
-    code = "\n".join([*lines, f"while True:\n try: {busy}\n except BaseException: pass" if swallowed else busy])
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+def test_a_model_that_was_loaded_is_a_choice(asset_loader, tmp_path):
+    """Beside a shipped one of its name; one that cannot be read is none."""
+    own, broken = tmp_path / "skirt.safetensors", tmp_path / "broken.safetensors"
+    shutil.copy(MODELS_PATH / "tanktop.safetensors", own)
+    broken.write_text("no model")
+    state, page = SceneState(asset_loader, ["trousers"]), Page(port=8394)
+    viewer = Viewer(page, state, motion=None)
     try:
-        assert process.stdout.readline() == "ready\n"
-        process.terminate()
-        assert process.wait(60) == (-signal.SIGALRM if swallowed else 143)
+        with pytest.raises(ValueError, match="broken"):
+            viewer._clothes._load_model(broken)
+        viewer._clothes._load_model(own)
+        garment = viewer._clothes._layers[1][0]
+        assert garment.value == garment.options[-1] == "skirt, file" and state.garments == ("trousers", str(own))
     finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+        viewer.close()
+        page.server.stop()
+
+
+def test_sigterm_ends_whatever_is_being_done():
+    """With status 143."""
+    code = "import time; from physkin_core.view import view; view.end_at_sigterm(); print(flush=True); time.sleep(60)"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    with process:
+        assert process.stdout.readline() == "\n"
+        process.terminate()
+        assert process.wait(60) == 143
 
 
 def test_tick_error_is_told_once(shown):
@@ -211,13 +231,6 @@ def test_addresses_that_cannot_be(address, told):
         Page(**address)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["-g", "nosuch"], "no garment model 'nosuch'"),
-        (["-g", "tshirt", "--tucked", "skirt"], "none of the garments"),
-    ],
-)
-def test_errors_before_there_is_a_page_are_one_line(arguments, reason, capsys):
-    assert cli.main(["view", "--no-browser", *arguments]) == 2
-    assert reason in capsys.readouterr().err.splitlines()[-1]
+def test_errors_before_there_is_a_page_are_one_line(capsys):
+    assert cli.main(["view", "--no-browser", "-g", "tshirt", "--tucked", "skirt"]) == 2
+    assert "none of the garments" in capsys.readouterr().err.splitlines()[-1]

@@ -22,6 +22,7 @@ from physkin_core import (
     load_garment_model,
     load_motion,
 )
+from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.view.pose_tab import joint_groups
 from physkin_core.view.scene import scene_state
 from physkin_core.view.scene.motion_player import MotionPlayer
@@ -42,37 +43,28 @@ def state(shared):
 
 
 def test_frame_is_what_the_core_drapes(state):
-    """At a frame of the motion: cloth, body, garment nodes and the root's place in the world."""
+    """At a frame of the motion: cloth, body, garment nodes, the root's place in the world, and plain skinning where it
+    is asked for."""
     motion = load_motion("walk")
     state.sway = 0.0
     state.scrub(20 / motion.rate_hz)
-    frame = state.advance(1.0)
+    frame = state.advance(4.0)
     draper = Draper(load_garment_model("tshirt"), load_avatar(BUNDLED_AVATAR, state.rig))
     positions = motion.positions_for(state.rig)[20]
     np.testing.assert_allclose(frame.cloth[0], draper.drape(positions, motion.gravity[20]), atol=1e-5)
-    body = state.outfit.body_to_draw.posed_vertices(draper.bone_transforms(positions))
+    bones = draper.bone_transforms(positions)
+    body = state.outfit.body_to_draw.posed_vertices(bones)
     np.testing.assert_allclose(frame.body, body, atol=1e-5)
     np.testing.assert_allclose(frame.nodes[0], draper.node_transforms()[..., 3], atol=1e-5)
     np.testing.assert_allclose(frame.pose.root_orientation, motion.root_orientation[20], atol=1e-5)
     way = frame.pose.root_position / motion.root_position[20]
     assert way[0] == pytest.approx(way[2], abs=1e-3) and 0.8 < way[2] < 1.2
     assert frame.plain == () and frame.microseconds > 0
-
-
-def test_soles_stay_on_the_floor_whatever_the_body(state):
-    """A motion's ways are scaled by the height of the hips: walking, the lowest point is within 4 cm of Z = 0."""
-    for seconds in (0.1, 0.5, 0.9):
-        state.scrub(seconds)
-        frame = state.advance(0.0)
-        assert abs(frame.body[:, 2].min() + frame.pose.root_position[2]) < 0.04
-
-
-def test_nothing_is_drawn_twice(state):
-    """A paused pose is given once; a redraw gives it again."""
-    state.scrub(0.5)
-    assert state.advance(0.1) is not None and state.advance(0.1) is None
+    assert abs(frame.body[:, 2].min() + frame.pose.root_position[2]) < 0.04, "soles stay on the floor"
+    assert state.advance(0.1) is None, "nothing is drawn twice"
+    state.show_plain = True
     state.redraw()
-    assert state.advance(0.1) is not None
+    np.testing.assert_allclose(state.advance(0.1).plain[0], plain_skinning(draper.bound, bones), atol=1e-5)
 
 
 def test_motion_plays_at_its_speed_and_begins_anew(state):
@@ -82,8 +74,10 @@ def test_motion_plays_at_its_speed_and_begins_anew(state):
     assert state.seconds == pytest.approx(0.2)
     state.advance(2 * state.duration)
     assert state.seconds == pytest.approx(0.2, abs=1e-6)
-    state.pause()
-    assert state.advance(0.1) is None
+    state.choose_motion(None)
+    with pytest.raises(ValueError, match="choose a motion"):
+        state.play()
+    assert state.duration == 0 and state.motion is None and not state.playing
 
 
 def test_cloth_sways_and_settles(state):
@@ -143,14 +137,6 @@ def test_joint_moves_the_cloth_and_stops_the_motion(state):
     np.testing.assert_allclose(state.pose.positions, state.rig.rest, atol=1e-6)
 
 
-def test_plain_skinning_is_computed_where_asked_for(state):
-    state.show_plain = True
-    state.scrub(0.6)
-    frame = state.advance(0.0)
-    assert frame.plain[0].shape == frame.cloth[0][:, :3].shape
-    assert 0.002 < np.linalg.norm(frame.plain[0] - frame.cloth[0][:, :3], axis=1).max() < 0.3
-
-
 def test_outfit_in_order_with_colours(asset_loader):
     """Garments from the skin outwards, one tucked; a colour that was chosen for a garment stays with it, in another
     place and of another fabric."""
@@ -170,8 +156,8 @@ def test_outfit_in_order_with_colours(asset_loader):
         (lambda state, folder: state.wear(["tshirt", "tshirt"]), "tshirt"),
         (lambda state, folder: state.wear(["tshirt"], tucked=["skirt"]), "--tucked skirt: none of the garments"),
         (lambda state, folder: state.wear(["nosuch"]), "no garment model 'nosuch'"),
-        (lambda state, folder: state.put_on(folder / "me.fbx"), "the extension '.fbx' is unknown"),
-        (lambda state, folder: state.put_on(folder / "broken.glb"), "broken.glb"),
+        (lambda state, folder: state.wear(body=folder / "me.fbx"), "the extension '.fbx' is unknown"),
+        (lambda state, folder: state.wear(body=folder / "broken.glb"), "broken.glb"),
         (lambda state, folder: state.choose_motion(folder / "broken.bvh"), "broken.bvh"),
         (lambda state, folder: state.choose_motion("nosuch"), "no bundled motion 'nosuch'"),
     ],
@@ -185,24 +171,17 @@ def test_what_cannot_be_shown_changes_nothing(state, change, reason, tmp_path):
     assert (state.outfit, state.garments, state.body, state.motion) == before
 
 
-def test_nothing_to_play(state):
-    state.choose_motion(None)
-    with pytest.raises(ValueError, match="choose a motion"):
-        state.play()
-    assert state.duration == 0 and state.motion is None
-
-
 def test_another_body(state, tmp_path):
     """A file of one's own under another name; the motion goes on with it."""
     own = tmp_path / "me.glb"
     shutil.copy(BUNDLED_AVATAR, own)
     before = state.outfit
     state.play()
-    state.put_on(own)
+    state.wear(body=own)
     frame = state.advance(0.1)
     assert state.body == own and frame.outfit is state.outfit is not before and state.motion.name == "walk"
     assert state.playing and frame.outfit.avatar.source.endswith("me.glb")
-    state.put_on(BUNDLED_AVATAR)
+    state.wear(body=BUNDLED_AVATAR)
 
 
 def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, shared):
@@ -211,7 +190,7 @@ def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, sha
 
     def put_on() -> None:
         try:
-            shared.put_on(BUNDLED_AVATAR)
+            shared.wear(body=BUNDLED_AVATAR)
         except ValueError as error:
             told.append(str(error))
 
@@ -225,13 +204,14 @@ def test_a_body_that_ends_the_process_that_reads_it_is_refused(asset_loader, sha
     assert len(told) == 1 and "(SIGKILL)" in told[0]
     shared.set_joint(0, 0.2)
     assert shared.advance(0.0).outfit is worn
-    shared.put_on(BUNDLED_AVATAR)
+    shared.wear(body=BUNDLED_AVATAR)
     assert shared.advance(0.0).outfit is not worn
 
 
 def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypatch):
     """What is drawn is the separated pose, of body and cloth."""
-    state = SceneState(asset_loader, ["tanktop"], separate_limbs=True)
+    state = SceneState(asset_loader, ["tanktop"])
+    state.wear(separate_limbs=True)
     assert state.warnings == state.outfit.warnings
     joint = state.rig.joint_names.index("upperarm01.L_x")
     state.set_joint(joint, -0.9)
@@ -244,7 +224,7 @@ def test_limbs_are_separated_and_those_left_out_are_told(asset_loader, monkeypat
     np.testing.assert_allclose(frame.cloth[0], alone, atol=1e-5)
     from_bound = lambda _: SimpleNamespace(warnings=("a leg is not separated",))  # noqa: E731
     monkeypatch.setattr(scene_state, "LimbSeparator", SimpleNamespace(from_bound=from_bound))
-    state.separate(True)
+    state.wear(separate_limbs=True)
     assert state.warnings == (*state.outfit.warnings, "a leg is not separated")
 
 

@@ -33,12 +33,12 @@ def test_a_painted_surface_that_was_taken_off_comes_back_with_new_values():
     """As a garment does under a heat map, once its splats are switched off."""
     page = Page()
     surface = SurfaceNode(page, "cloth", 3, FACES, (1.0, 1.0, 1.0))
-    surface.paint(SKIN_BANDS, np.zeros(1), VERTICES)
+    surface.show(VERTICES, SKIN_BANDS, np.zeros(1))
     (plain,) = page.colours()
     surface.remove()
     assert not page.meshes
-    surface.paint(SKIN_BANDS, np.ones(1), VERTICES)
+    surface.show(VERTICES, SKIN_BANDS, np.ones(1))
     (red,) = page.colours()
     assert red != plain
-    surface.paint(SKIN_BANDS, np.zeros(1), VERTICES)
+    surface.show(VERTICES, SKIN_BANDS, np.zeros(1))
     assert page.colours() == [plain]

@@ -1,9 +1,7 @@
-"""Files that browsers send, one of them over a real socket."""
+"""Files that browsers send, as viser gives them."""
 
 from __future__ import annotations
 
-import threading
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -11,16 +9,7 @@ import pytest
 from physkin_core.view import uploads as module
 from physkin_core.view.uploads import Uploads
 
-pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
-
-import msgspec  # noqa: E402
-import viser  # noqa: E402
-from websockets.sync.client import connect  # noqa: E402
-
-from physkin_core.view.page import Page  # noqa: E402
-
-CAMERA = {"wxyz": (1, 0, 0, 0), "position": (0, 0, 0), "look_at": (1, 0, 0), "up_direction": (0, 0, 1)}
-CAMERA |= {"fov": 1.0, "near": 0.1, "far": 9.0, "image_height": 9, "image_width": 9}
+viser = pytest.importorskip("viser", reason="needs viser: pip install 'physkin[view]'")
 
 
 class Sender:
@@ -56,7 +45,7 @@ class Sender:
         self.loaded.append((path.name, content))
 
     def send(self, name: str, content: bytes) -> None:
-        self._take(SimpleNamespace(target=SimpleNamespace(value=SimpleNamespace(name=name, content=content))))
+        self._take(SimpleNamespace(target=SimpleNamespace(value=viser.UploadedFile(name, content))))
 
     def files(self) -> list[str]:
         folder = self.uploads._kept.parent
@@ -109,27 +98,3 @@ def test_what_is_refused(name, content, told, sender, monkeypatch):
     assert [each for each, _ in sender.loaded] == ["first.glb", "me.glb"]
     (said,) = sender.told
     assert told in said and sender.files() == ["kept/first.glb", "kept/me.glb"]
-
-
-def test_a_browser_sends_a_file():
-    """Over a real socket, as viser's page does."""
-    page, loaded = Page(port=8398), []
-    Uploads(page).add_button("Send", hint="", load=lambda path: loaded.append((path.name, path.read_bytes())))
-    address, protocol = f"ws://localhost:{page.server.get_port()}", f"viser-v{viser.__version__}"
-    (button,) = page.server.gui._gui_input_handle_from_uuid
-    keys = {"source_component_uuid": button, "transfer_uuid": "1"}
-    start = {"filename": "me.glb", "mime_type": "", "part_count": 2, "size_bytes": 3}
-    try:
-        with connect(address, subprotocols=[protocol], max_size=None, compression=None) as socket:
-            threading.Thread(target=lambda: [None for _ in socket], daemon=True).start()
-            socket.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **CAMERA}))  # what a browser begins with
-            socket.send(msgspec.msgpack.encode({"type": "FileTransferStartUpload", **keys, **start}))
-            for index, content in enumerate((b"ab", b"c")):
-                part = {"type": "FileTransferPart", **keys, "part_index": index, "content": content}
-                socket.send(msgspec.msgpack.encode(part))
-            end = time.monotonic() + 20
-            while not loaded and time.monotonic() < end:
-                time.sleep(0.01)
-        assert loaded == [("me.glb", b"abc")]
-    finally:
-        page.server.stop()

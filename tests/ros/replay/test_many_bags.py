@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 
 import pytest
 
@@ -59,12 +60,8 @@ def test_every_bag_is_replayed_once(bags, tmp_path, capsys):
 def test_what_was_interrupted_goes_on(bags, monkeypatch, capsys):
     """With the bags that are left."""
     (bags / "broken.mcap").unlink()
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
     with monkeypatch.context() as patch:
-        patch.setattr(many_bags, "_write_page", interrupt)  # after the first bag
+        patch.setattr(many_bags, "_write_page", lambda *_: signal.raise_signal(signal.SIGINT))  # after the first bag
         assert cli.main(command(bags)) == 130
     assert cli.main(command(bags)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out

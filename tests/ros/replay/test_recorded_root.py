@@ -169,7 +169,6 @@ def test_the_command_line_takes_what_the_node_takes(quick, swaying_model_path, w
     [
         (["--orientation", "imu"], "has no topic of sensor_msgs/msg/Imu; its topics"),
         (["--orientation-topic", "/odom"], "topic /odom is nav_msgs/msg/Odometry"),
-        (["--orientation", "tf", "--orientation-topic", "/tf"], "TF is always taken from /tf and /tf_static"),
         (["--orientation", "pose", "--orientation-topic", "/odom"], "topic /odom is nav_msgs/msg/Odometry"),
         (["--sway", "1.5"], "sway must be a number from 0 to 1, got 1.5"),
     ],

@@ -20,7 +20,6 @@ from physkin_core.runtime.bound_garment import plain_skinning  # noqa: E402
 from physkin_ros.messages.conversions import read_cloud  # noqa: E402
 from physkin_ros.replay.bags import BagWriter, write_motion  # noqa: E402
 from physkin_ros.replay.figures import describe, summary  # noqa: E402
-from physkin_ros.replay.recorded_root import RecordedRoot  # noqa: E402
 from physkin_ros.replay.replay import GARMENT_TOPIC, replay  # noqa: E402
 
 
@@ -129,7 +128,7 @@ def test_limbs_are_separated_when_told_to(quick, leaning_model_path, draper, ava
 
 
 def test_gravity_counts_from_when_it_comes(run, draper, tmp_path):
-    """Of a moment's messages first; the parameter before any; a direction that is none changes nothing."""
+    """Of a moment's messages first; upright before any; a direction that is none changes nothing."""
     names, rest = draper.joint_names, draper.model.rig.rest
     path = tmp_path / "lean.db3"
     with BagWriter(path) as writer:
@@ -140,8 +139,8 @@ def test_gravity_counts_from_when_it_comes(run, draper, tmp_path):
             writer.write("/gravity", GRAVITY, gravity(*bad), 3)
         writer.write_bytes("/gravity", GRAVITY, b"\0\1\0\0\0", 3)
         writer.write("/joint_states", JOINT_STATE, joint_state(names, rest), 4)
-    found, figures = run(path, root=RecordedRoot(gravity=[0.0, 2.0, 0.0]))
-    np.testing.assert_allclose(np.array(found.down), [[0, 1, 0], [1, 0, 0], [1, 0, 0]])
+    found, figures = run(path)
+    np.testing.assert_allclose(np.array(found.down), [[0, 0, -1], [1, 0, 0], [1, 0, 0]])
     assert figures["counts"]["gravity_messages"] == 5 and figures["counts"]["gravity_rejected"] == 4
     assert np.ptp(found.measured["edge_strain_percent"]) > 0
 
