@@ -100,7 +100,3 @@ def _simulate(options: argparse.Namespace) -> int:
         f"in {time.monotonic() - began:.0f} s"
     )
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

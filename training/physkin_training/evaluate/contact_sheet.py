@@ -217,7 +217,3 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     print(f"wrote {arguments.output}")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -309,7 +309,3 @@ def _draw(path: Path, avatar: Avatar, garment: Garment, bodies: np.ndarray, drap
         for body, drape in zip(bodies, drapes, strict=True)
     ]
     save_png(path, images[0] if len(images) == 1 else contact_sheet(images, columns=min(4, len(images))))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -6,7 +6,6 @@ Dimensions: `n` points, `f` faces, `e` edges. Metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -41,16 +40,6 @@ def closest_kernel(
     if length > 1.0e-6:
         way = gap * (hit.sign / length)
     outward[i] = way
-
-
-@wp.kernel
-def surrounded_kernel(
-    points: wp.array(dtype=wp.vec3), body: wp.uint64, least: wp.float32, found: wp.array(dtype=wp.bool)
-):
-    """Whether a mesh's winding number (Barill et al. 2018) is at least so much."""
-    i = wp.tid()
-    hit = wp.mesh_query_point_sign_winding_number(body, points[i], FARTHEST, 2.0, least)
-    found[i] = hit.sign < 0.0
 
 
 @wp.kernel
@@ -170,18 +159,6 @@ class BodySurface:
         wp.launch(facing_kernel, n, [*rays, self._mesh.id, reach], [face, barycentric], device="cpu")
         return face.numpy().copy(), barycentric.numpy().copy()
 
-    def surrounds(self, points: np.ndarray, *, times: int = 1) -> np.ndarray:
-        """Which of points (n, 3) are inside the body, (n,) bool; with times=2, inside two of its parts at once, as
-        where an arm runs into the trunk. `closest` knows the nearest skin only."""
-        found = wp.zeros(len(points), wp.bool, device="cpu")
-        where = wp.array(np.asarray(points, dtype=np.float32), dtype=wp.vec3, device="cpu")
-        wp.launch(surrounded_kernel, len(points), [where, self._winding_mesh.id, times - 0.5], [found], device="cpu")
-        return found.numpy().copy()
-
-    @cached_property
-    def _winding_mesh(self) -> wp.Mesh:
-        return _mesh(self.vertices, self.faces, support_winding_number=True)
-
     def push_out(self, points: np.ndarray, clearance: float, *, iterations: int = 30, step: float = 0.02) -> np.ndarray:
         """`points` (n, 3), those closer than `clearance` [m] moved out, at most `step` [m] an iteration."""
         points = np.array(points, dtype=np.float64)
@@ -215,21 +192,19 @@ def layers_near(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.nda
     return sides.numpy().copy()
 
 
-def covering_faces(
-    points: np.ndarray, ways: np.ndarray, vertices: np.ndarray, faces: np.ndarray, reach: float = FARTHEST
-) -> np.ndarray:
+def covering_faces(points: np.ndarray, ways: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The face of a garment that points (k, 3) of a body lie under, (k,) int32, or -1: a ray along the unit vector of
-    each (k, 3) meets it first, from inside, within `reach` [m]. An arm beside a shirt meets the shirt from outside, and
+    each (k, 3) meets it first, from inside. An arm beside a shirt meets the shirt from outside, and
     is not under it."""
     wp.init()
     mesh = _mesh(vertices, faces)
     covering = wp.zeros(len(points), wp.int32, device="cpu")
     rays = [wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu") for array in (points, ways)]
-    wp.launch(covering_kernel, len(points), [mesh.id, *rays, reach], [covering], device="cpu")
+    wp.launch(covering_kernel, len(points), [mesh.id, *rays, FARTHEST], [covering], device="cpu")
     return covering.numpy().copy()
 
 
-def _mesh(vertices: np.ndarray, faces: np.ndarray, **support: bool) -> wp.Mesh:
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> wp.Mesh:
     points = wp.array(np.asarray(vertices, dtype=np.float32), dtype=wp.vec3, device="cpu")
     corners = wp.array(np.asarray(faces, dtype=np.int32).reshape(-1), dtype=wp.int32, device="cpu")
-    return wp.Mesh(points, corners, **support)
+    return wp.Mesh(points, corners)
