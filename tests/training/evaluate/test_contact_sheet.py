@@ -168,6 +168,6 @@ def test_close_pictures_are_of_the_garment_from_both_sides(model, tmp_path, draw
 def test_errors_are_one_line(model, options, reason, tmp_path, capsys):
     save(model, tmp_path / "band.safetensors")
     filled = [word.format(tmp=tmp_path) for word in options]
-    assert contact_sheet.main([str(tmp_path / "band.safetensors"), *filled, "--device", "cpu"]) == 2
+    assert cli.main(["contact-sheet", str(tmp_path / "band.safetensors"), *filled, "--device", "cpu"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert re.search(f"error: .*{reason}", lines[-1])

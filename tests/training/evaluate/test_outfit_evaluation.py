@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from physkin_core import load_motion
+from physkin_core.cli import main
 from physkin_core.motion.loading import save_motion
-from physkin_training.evaluate.command import main
 from physkin_training.evaluate.outfit_evaluation import parse_outfit
 
 FIGURES = {
@@ -44,7 +44,7 @@ def test_names_of_outfits():
     ],
 )
 def test_the_command_refuses_what_does_not_go_together(arguments, message, capsys):
-    assert main([*arguments, "--device", "cpu"]) == 2
+    assert main(["evaluate", *arguments, "--device", "cpu"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error
 
@@ -58,7 +58,7 @@ def test_the_command_writes_all_figures(tmp_path, capsys):
     save_motion(short, tmp_path / "short.safetensors")
     outfits = ["--outfit", "tshirt:tucked,trousers"]
     outputs = ["--motion", str(tmp_path / "short.safetensors"), "--json", str(tmp_path / "scores.json")]
-    assert main([*outfits, *outputs, "--bodies", "1", "--device", "cpu"]) == 0
+    assert main(["evaluate", *outfits, *outputs, "--bodies", "1", "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert scores["counts"] == {"bodies": 1, "clips": 1, "frames": 1, "stride": 60, "run": 5}
     assert set(scores["outfit"]) == {"tshirt:tucked,trousers"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,16 +25,13 @@ OF_OUTFITS = {"bodies": 3}
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
+    """Command line: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`. Raises ValueError or OSError
+    for bad input."""
     arguments = command_parser().parse_args(argv)
     score = _score_dynamics if arguments.dynamic else _score_outfits if arguments.outfit else _score_model
-    try:
-        if arguments.json:
-            check_folder(arguments.json)
-        scores = score(arguments)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    if arguments.json:
+        check_folder(arguments.json)
+    scores = score(arguments)
     if arguments.json:
         arguments.json.write_text(json.dumps(scores, indent=1))
     return 0

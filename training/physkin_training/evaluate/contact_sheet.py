@@ -9,7 +9,6 @@ Dimensions: `P` pairs, `B` samples of a batch, `n` garment vertices, `V` body ve
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -24,7 +23,7 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, upright_orientation
 from physkin_core.output_file import check_folder
-from physkin_core.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
 from physkin_core.progress import progress_line
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
@@ -202,18 +201,14 @@ def command_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin contact-sheet MODEL -o PNG`."""
+    """Command line: `physkin contact-sheet MODEL -o PNG`. Raises ValueError, OSError or PictureError."""
     arguments = command_parser().parse_args(argv)
-    try:
-        if arguments.output.suffix.lower() != ".png":
-            raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
-        check_folder(arguments.output)
-        model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
-        motions = [load_motion(name, watch=progress_line(f"reading {name}")) for name in arguments.motion or ()]
-        given = {name: getattr(arguments, name) for name in ("poses", "minimum", "close")}
-        save_png(arguments.output, draw_sheet(model, device, motions=motions, **given))
-    except (ValueError, PictureError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    if arguments.output.suffix.lower() != ".png":
+        raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
+    check_folder(arguments.output)
+    model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
+    motions = [load_motion(name, watch=progress_line(f"reading {name}")) for name in arguments.motion or ()]
+    given = {name: getattr(arguments, name) for name in ("poses", "minimum", "close")}
+    save_png(arguments.output, draw_sheet(model, device, motions=motions, **given))
     print(f"wrote {arguments.output}")
     return 0

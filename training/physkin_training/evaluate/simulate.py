@@ -158,18 +158,14 @@ def _turned_on(offset: torch.Tensor, turned: torch.Tensor, now: torch.Tensor) ->
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge, 2 after an error."""
+    """Command line: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge. Raises ValueError or
+    OSError for bad input."""
     arguments = sys.argv[1:] if argv is None else argv
     if "--dynamic" in arguments:
         from physkin_training.dynamics.command import main as simulate_dynamically
 
         return simulate_dynamically(arguments)
-    options = command_parser().parse_args(argv)
-    try:
-        return _simulate(options)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return _simulate(command_parser().parse_args(arguments))
 
 
 MATERIAL = {
