@@ -15,8 +15,7 @@ from torch import nn
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
-from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.networks import Networks
 from physkin_training.sampling.posed_bodies import BodySet
 

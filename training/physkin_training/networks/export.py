@@ -25,9 +25,8 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.outfit.draper import Draper
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
-from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.networks import ModulatedMLP
 from physkin_training.sampling.posed_bodies import BodySet
 
