@@ -10,7 +10,9 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.export.gltf_builder import GltfBuilder, write_glb
 from physkin_core.model.garment import vertex_normals
-from physkin_prepare.avatar import skinned_document
+from physkin_core.rig.canonical_pose import t_pose_rotations, turned_down_the_chain
+from physkin_core.rig.vrm_bones import HUMANOID_BONES
+from physkin_prepare.gltf_export import skinned_document
 
 BODY = load_body_model()
 RIG = BODY.rig
@@ -85,6 +87,59 @@ def write_gltf(path: Path, builder: GltfBuilder, *, buffer_uri: str) -> None:
     """Write the JSON alone; `buffer_uri` is where its buffer is found (a file beside it, or a data URI)."""
     document = {**builder.document, "buffers": [{**builder.document["buffers"][0], "uri": buffer_uri}]}
     path.write_text(json.dumps(document), encoding="utf-8")
+
+
+# --- T-posed people, as VRMs are
+
+LICENCE = "https://vrm.dev/licenses/1.0/"
+
+
+def write_vrm(path, *, body_index=8, vrm_version="1.0"):
+    """A held-out body as a VRM stands: T-pose as rest, feet on the ground, only the 20 humanoid joints. Version "0.x"
+    faces -Z."""
+    vertices, heads, _ = t_posed_body(BODY, BODY.held_out_bodies[body_index])
+    turn = np.diag([-1.0, -1.0, 1.0]) if vrm_version == "0.x" else np.eye(3)
+    vertices, heads = ((points + [0, 0, -vertices[:, 2].min()]) @ turn for points in (vertices, heads))
+    role = {bone: name for name, bone in HUMANOID_BONES.items()}
+    kept = [bone for bone, name in enumerate(RIG.bone_names) if name in role]
+    joint = np.zeros(RIG.bone_count, dtype=np.int64)  # of each bone, its own or its nearest kept ancestor's
+    for bone, parent in enumerate(RIG.parents):
+        joint[bone] = kept.index(bone) if bone in kept else joint[parent]
+    names = [role[RIG.bone_names[bone]] for bone in kept]
+    builder = skinned_document(
+        vertices,
+        BODY.faces,
+        [f"J_{name}" for name in names],
+        [int(joint[RIG.parents[bone]]) if bone else -1 for bone in kept],
+        heads[kept],
+        joint[BODY.influence_bones],
+        BODY.influence_weights,
+    )
+    make_vrm(builder, {name: node for node, name in enumerate(names)}, vrm_version)
+    write_glb(path, builder)
+
+
+def make_vrm(builder, nodes, version="1.0"):
+    """Have a document say that it is a VRM. nodes: of its joints, by VRM humanoid bone."""
+    if version == "1.0":
+        bones = {bone: {"node": node} for bone, node in nodes.items()}
+        meta = {"name": "PhySkin", "version": "1", "authors": ["PhySkin"], "licenseUrl": LICENCE}
+        vrm = {"VRMC_vrm": {"specVersion": "1.0", "meta": meta, "humanoid": {"humanBones": bones}}}
+    else:
+        bones = [{"bone": bone, "node": node} for bone, node in nodes.items()]
+        vrm = {"VRM": {"specVersion": "0.0", "meta": {"title": "PhySkin"}, "humanoid": {"humanBones": bones}}}
+    builder.document |= {"extensions": vrm, "extensionsUsed": list(vrm)}
+
+
+def t_posed_body(body, coefficients):
+    """A body with arms straight out and legs straight down: vertices (V, 3), heads (b, 3), tails (b, 3)."""
+    avatar, rig = avatar_from_body(body, coefficients), body.rig
+    heads, tails = avatar.bone_heads.astype(np.float64), avatar.bone_tails.astype(np.float64)
+    turns = t_pose_rotations(dict(zip(rig.bone_names, heads)))
+    turns = {rig.bone_index(name): turn for name, turn in turns.items()}
+    transforms, posed = turned_down_the_chain(heads, rig.parents, turns)
+    tails = np.einsum("bij,bj->bi", transforms[..., :3], tails) + transforms[..., 3]
+    return avatar.posed_vertices(transforms), posed, tails
 
 
 # --- The person as makers of avatars dress theirs: skin where it is seen, clothes in meshes and materials of their own

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser, served
+from gltf_person import write_vrm
 
 from import_graph import ROOT
 from physkin_core.cli import main
-from physkin_prepare.avatar import prepare_vrm
 
 PACKAGE = ROOT / "build" / "web"
 
@@ -24,7 +24,7 @@ pytestmark = [
 def test_a_posed_avatar_is_dressed(tmp_path):
     """In VRM 1.0 and 0.x, whose models look the other way, alike: seen from ahead cloth is before the trunk."""
     for name, version in (("one", "1.0"), ("zero", "0.x")):
-        prepare_vrm(tmp_path / f"{name}.vrm", vrm_version=version)
+        write_vrm(tmp_path / f"{name}.vrm", vrm_version=version)
         bound = tmp_path / f"{name}.physkin"
         assert main(["bind", str(tmp_path / f"{name}.vrm"), "-g", "trousers", "-g", "tshirt", "-o", str(bound)]) == 0
     for file in (*PACKAGE.glob("*.js"), PACKAGE / "physkin.wasm", Path(__file__).with_name("vrm.html")):

@@ -11,16 +11,19 @@ from gltf_person import (
     dense_weights,
     distances,
     load_document,
+    make_vrm,
     person_document,
     primitive_of,
+    t_posed_body,
     write_gltf,
+    write_vrm,
 )
 
 from physkin_core.avatar.avatar import AvatarError, avatar_from_body
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.rig.rig import Rig
 from physkin_core.rig.vrm_bones import HUMANOID_BONES
-from physkin_prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar, prepare_vrm, t_posed_body
+from physkin_prepare.avatar import AVATAR_PATH, BUNDLED_BODY, prepare_avatar
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes
 
@@ -48,7 +51,7 @@ def test_t_posed_vrm_is_the_same_person(tmp_path, vrm_version, body_index):
 
     Rig bones that a VRM has no joint for (where a thigh or a neck is divided) are placed within 2 cm.
     """
-    prepare_vrm(tmp_path / "person.vrm", body_index=body_index, vrm_version=vrm_version)
+    write_vrm(tmp_path / "person.vrm", body_index=body_index, vrm_version=vrm_version)
     avatar = load_avatar(tmp_path / "person.vrm", RIG)
     person = avatar_from_body(BODY, BODY.held_out_bodies[body_index])
     distance = distances(avatar.vertices, person.vertices)
@@ -110,8 +113,8 @@ def test_fingers_follow_the_wrist(tmp_path):
 def test_humanoid_bones_outside_the_skin(tmp_path):
     """A VRM may state a bone that no vertex follows and the skin does not list; it counts as a joint."""
     names = [f"own_{bone}" for bone in range(RIG.bone_count)]
-    humanoid = {role: names[RIG.bone_index(bone)] for role, bone in HUMANOID_BONES.items()}
-    builder = person_document(joint_names=names, humanoid=humanoid)
+    builder = person_document(joint_names=names)
+    make_vrm(builder, {role: RIG.bone_index(bone) for role, bone in HUMANOID_BONES.items()})
     nodes, wrist = builder.document["nodes"], RIG.bone_index("wrist.L")
     nodes[wrist].setdefault("children", []).append(len(nodes))
     nodes.append({"name": "hand marker"})
@@ -259,7 +262,7 @@ def test_another_rig_by_its_own_names(tmp_path):
         match="no joint for 1 of the 2 rig bones it must have: arm; taken: 'base' as base; not recognised: 'leg'",
     ):
         load_document(tmp_path, person_document(joint_names=["base", "leg"], **arguments), rig)
-    prepare_vrm(tmp_path / "person.vrm")
+    write_vrm(tmp_path / "person.vrm")
     with pytest.raises(AvatarError, match="it must have: base, arm; taken: none; not recognised: '"):
         load_avatar(tmp_path / "person.vrm", rig)
 

@@ -6,7 +6,7 @@ import logging
 import numpy as np
 import pytest
 import trimesh
-from gltf_person import BODY, PERSON, RIG, dense_weights, distances, rig_json
+from gltf_person import BODY, PERSON, RIG, dense_weights, distances, rig_json, t_posed_body
 
 from physkin_core.avatar import rig_fitting
 from physkin_core.avatar.avatar import AvatarError, AvatarWarning
@@ -14,7 +14,6 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.mesh_avatar import _upright_axis
 from physkin_core.export.gltf_builder import GltfBuilder, write_glb
 from physkin_core.rig.rig import Rig
-from physkin_prepare.avatar import t_posed_body
 
 T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, where it is not what is tested

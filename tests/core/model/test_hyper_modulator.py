@@ -18,13 +18,13 @@ SHIPPED = [
 @pytest.fixture(scope="module")
 def people(tmp_path_factory):
     """Six A-posed bodies; the first three again as T-posed VRMs, loaded into the canonical pose."""
-    from physkin_prepare.avatar import prepare_vrm
+    from gltf_person import write_vrm
 
     body = load_body_model()
     folder = tmp_path_factory.mktemp("people")
     vrms = []
     for index, version in enumerate(("1.0", "0.x", "1.0")):
-        prepare_vrm(folder / f"{index}.vrm", body_index=index, vrm_version=version)
+        write_vrm(folder / f"{index}.vrm", body_index=index, vrm_version=version)
         vrms.append(load_avatar(folder / f"{index}.vrm", body.rig))
     return [avatar_from_body(body, coefficients) for coefficients in body.held_out_bodies[:6]], vrms
 

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_person import BODY, RIG, skeleton_of, with_ends
+from gltf_person import BODY, RIG, skeleton_of, t_posed_body, with_ends
 
 from physkin_core.rig.human_skeleton import find_human_skeleton
 from physkin_core.rig.vrm_bones import HUMANOID_BONES
-from physkin_prepare.avatar import t_posed_body
 
 LIMB_BONES = ("clavicle", "upperarm01", "lowerarm01", "wrist", "upperleg01", "lowerleg01", "foot")
 NAMINGS = json.loads(Path(__file__).with_name("namings.json").read_text())

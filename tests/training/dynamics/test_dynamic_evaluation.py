@@ -9,9 +9,9 @@ import pytest
 
 from physkin_core import Draper, load_body_model, load_garment_model
 from physkin_core.avatar.avatar import avatar_from_body
+from physkin_core.cli import main
 from physkin_training.dynamics.reference import Reference, load_reference, rounded, save_reference
 from physkin_training.dynamics.scenes import load_scene
-from physkin_training.evaluate.command import main
 from physkin_training.evaluate.dynamic_evaluation import (
     evaluate_dynamics,
     played,
@@ -111,5 +111,5 @@ def test_amplitude_phase_and_settling_are_those_of_a_known_swing():
     ],
 )
 def test_what_cannot_be_measured_is_said(arguments, said, capsys):
-    assert main(arguments) == 2
+    assert main(["evaluate", *arguments]) == 2
     assert said in capsys.readouterr().err

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from physkin_core.avatar.body_model import load_body_model
+from physkin_core.cli import main
 from physkin_core.motion.motion import MotionError
 from physkin_core.rig.rig import Rig
-from physkin_training.dynamics.command import main
 from physkin_training.dynamics.reference import load_reference
 from physkin_training.dynamics.scenes import ROOT_SCENES, SWING_ACCELERATION, load_scene, planted_legs
 
@@ -66,7 +66,7 @@ def test_the_command_refuses_what_makes_no_sense(tmp_path, capsys):
         (["--seconds", "1"], "2.7 seconds"),
         (["--bodies", "0"], "bodies"),
     ):
-        assert main(["skirt", "--dynamic", *wrong, "-o", str(tmp_path)]) == 2
+        assert main(["simulate", "skirt", "--dynamic", *wrong, "-o", str(tmp_path)]) == 2
         assert said in capsys.readouterr().err
 
 
@@ -74,6 +74,6 @@ def test_the_command_refuses_what_makes_no_sense(tmp_path, capsys):
 def test_a_simulated_skirt_hangs_still_while_nothing_moves(tmp_path):
     """The root of `stop` moves from 0.25 s on."""
     scene = ["--scenes", "stop", "--seconds", "2.7", "--bodies", "1", "--steps", "1"]
-    assert main(["skirt", "--dynamic", "--device", "cpu", *scene, "-o", str(tmp_path)]) == 0
+    assert main(["simulate", "skirt", "--dynamic", "--device", "cpu", *scene, "-o", str(tmp_path)]) == 0
     vertices = load_reference(tmp_path / "skirt_stop.npz").simulated(0)
     assert np.linalg.norm(vertices[5] - vertices[0], axis=1).max() < 2e-3

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from physkin_core import load_motion
+from physkin_core.cli import main
 from physkin_core.motion.loading import save_motion
-from physkin_training.evaluate.command import main
 from physkin_training.evaluate.outfit_evaluation import parse_outfit
 
 FIGURES = {
@@ -38,15 +38,13 @@ def test_names_of_outfits():
         ([], "give one of MODEL and --outfit"),
         (["tshirt", "--outfit", "trousers,tshirt"], "give one of MODEL and --outfit"),
         (["--outfit", "trousers,tshirt", "--minimum", "4"], "--minimum is an option of MODEL, not of --outfit"),
-        (["tshirt", "--stride", "9"], "--stride is an option of --outfit, not of MODEL"),
         (["--outfit", "trousers,tshirt", "--motion"], "at least one clip"),
-        (["--outfit", "trousers,tshirt", "--motion", "dance", "--stride", "1"], "stride must be at least 5 frames"),
         (["--outfit", "trousers,tshirt", "--motion", "dance", "--bodies", "0"], "bodies must be 1 to"),
         (["--outfit", "trousers,tshirt", "--outfit", "trousers,tshirt"], "is given twice"),
     ],
 )
 def test_the_command_refuses_what_does_not_go_together(arguments, message, capsys):
-    assert main([*arguments, "--device", "cpu"]) == 2
+    assert main(["evaluate", *arguments, "--device", "cpu"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error
 
@@ -60,9 +58,9 @@ def test_the_command_writes_all_figures(tmp_path, capsys):
     save_motion(short, tmp_path / "short.safetensors")
     outfits = ["--outfit", "tshirt:tucked,trousers"]
     outputs = ["--motion", str(tmp_path / "short.safetensors"), "--json", str(tmp_path / "scores.json")]
-    assert main([*outfits, *outputs, "--bodies", "1", "--stride", "10", "--device", "cpu"]) == 0
+    assert main(["evaluate", *outfits, *outputs, "--bodies", "1", "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
-    assert scores["counts"] == {"bodies": 1, "clips": 1, "frames": 2, "stride": 10, "run": 5}
+    assert scores["counts"] == {"bodies": 1, "clips": 1, "frames": 1, "stride": 60, "run": 5}
     assert set(scores["outfit"]) == {"tshirt:tucked,trousers"}
     table = capsys.readouterr().out
     for name, figures in scores["outfit"].items():

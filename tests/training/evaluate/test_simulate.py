@@ -105,7 +105,7 @@ def test_options_say_what_the_cloth_is(band, monkeypatch, capsys, options, mater
         (["--motion", "walk", "--frame", "0", "1", "-o", "drape.obj"], "must end in .npz"),
         (["--motion", "walk", "--frame", "100000", "-o", "drape.obj"], "has frames 0 to"),
         (["--tolerance", "0", "-o", "drape.obj"], "must be above 0"),
-        (["--density", "0", "-o", "drape.obj"], "material density is 0.0"),
+        (["--bending", "-1", "-o", "drape.obj"], "material bending is -1.0"),
     ],
 )
 def test_errors(band, arguments, message, capsys, tmp_path, monkeypatch):

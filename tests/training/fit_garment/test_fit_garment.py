@@ -15,7 +15,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from tabulate import tabulate
 from training.small_runs import SIZES, small_config, write_belly_band
 
 from physkin_core import load_garment, load_garment_model
@@ -306,13 +305,6 @@ def test_undertrained_is_said_in_plain_words(steps, strain, few, tmp_path):
     said = record.undertrained(scores)
     assert bool(said) is few
     assert not few or (f"After {steps:,} steps" in said and f"{strain} %" in said and "12.0 %" in said)
-
-
-@pytest.mark.parametrize("style", ["pipe", "github"])
-def test_ruler_of_a_table_is_no_row(style):
-    """However Markdown writes it."""
-    page = report.html_table(tabulate([["the model", 3.0], ["-", 2.0]], ["", "edge %"], tablefmt=style) + "\n\nnoted")
-    assert re.findall("<td>(.*?) *</td>", page) == ["the model", "3", "-", "2"] and page.endswith("<p>noted</p>")
 
 
 def test_a_late_report_has_no_pictures(write_vest, tmp_path):

@@ -11,7 +11,7 @@ from reference.hyper_modulator import body_modulation
 from physkin_core.model.hyper_modulator import at_fit, bending_code, with_bending
 from physkin_core.model.mlp import modulation_size
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet
 from physkin_training.networks.networks import HyperModulator, Networks
 
 

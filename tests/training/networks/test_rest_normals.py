@@ -57,10 +57,7 @@ def test_where_one_node_carries_everything_the_normals_are_the_mesh_s_own(tshirt
     np.testing.assert_allclose(fitted, vertex_normals(garment.vertices, garment.faces), atol=1e-4)
 
 
-@pytest.mark.parametrize("wrong", [{"bodies": 0}, {"bodies": 10**6}, {"poses": 0}])
-def test_impossible_numbers_and_other_rigs_are_refused(tshirt, wrong):
-    with pytest.raises(ValueError, match="allowed"):
-        fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, tshirt.rig, **wrong)
+def test_another_rig_is_refused(tshirt):
     rig = Rig.from_json(tshirt.rig.to_json() | {"dofs": tshirt.rig.to_json()["dofs"][1:]})
     with pytest.raises(ValueError, match="rig"):
         fitted_rest_normals(drape_from_model(tshirt), tshirt.garment, rig)

@@ -123,7 +123,3 @@ def command_parser() -> argparse.ArgumentParser:
         "--device", choices=("cpu", "cuda"), help="where to train (default: one GPU for each garment, if there are any)"
     )
     return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
@@ -25,13 +24,39 @@ DEFAULT_SCENES = ("walk", "run", "dance", "jump", "kick", "cartwheel", *ROOT_SCE
 
 
 def main(argv: list[str]) -> int:
-    """Command line entry, argv with or without `--dynamic`. Returns 0, or 2 after an error."""
+    """Command line. Raises ValueError or OSError for bad input."""
     options = _parser().parse_args(argv)
-    try:
-        return _simulate(options)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    if options.steps < 1:
+        raise ValueError(f"--steps must be at least 1, got {options.steps}")
+    model, body_model = load_garment_model(options.garment), load_body_model()
+    scenes = [load_scene(name, model.rig, seconds=options.seconds) for name in options.scenes]
+    bodies = body_model.held_out_bodies[bodies_by_girth(body_model, options.bodies)]
+    device = resolve_device(options.device)
+    if device.type == "cpu":
+        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
+    began = time.monotonic()
+    simulation = DynamicSimulation(
+        model, body_model, bodies, scenes, device, steps=options.steps, held_above=options.held_above
+    )
+    line, frames = progress_line(f"simulating {model.name}"), []
+
+    def keep(frame: int, vertices: torch.Tensor) -> None:
+        frames.append(rounded(vertices.cpu().numpy()))
+        line((frame + 1) / simulation.frame_count)
+
+    simulation.run(keep)
+    options.output.mkdir(parents=True, exist_ok=True)
+    vertices = np.stack(frames, axis=1).reshape(len(bodies), len(scenes), simulation.frame_count, -1, 3)
+    lost_at = simulation.lost_at.cpu().numpy().reshape(len(bodies), len(scenes))
+    for k, scene in enumerate(scenes):
+        reference = Reference(model.name, scene, bodies, vertices[:, k], lost_at[:, k])
+        save_reference(reference, options.output / f"{model.name}_{scene.name}.npz")
+    lost = int((lost_at < simulation.frame_count).sum())
+    print(
+        f"{simulation.frame_count} frames of {lost_at.size} samples, {lost} of them lost, "
+        f"in {time.monotonic() - began:.0f} s"
+    )
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -66,41 +91,3 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", type=Path, required=True, help="folder to write; each scene is a file GARMENT_SCENE.npz"
     )
     return parser
-
-
-def _simulate(options: argparse.Namespace) -> int:
-    if options.steps < 1:
-        raise ValueError(f"--steps must be at least 1, got {options.steps}")
-    model, body_model = load_garment_model(options.garment), load_body_model()
-    scenes = [load_scene(name, model.rig, seconds=options.seconds) for name in options.scenes]
-    bodies = body_model.held_out_bodies[bodies_by_girth(body_model, options.bodies)]
-    device = resolve_device(options.device)
-    if device.type == "cpu":
-        torch.set_num_threads(1)  # vectors are short: more threads would only wait for each other
-    began = time.monotonic()
-    simulation = DynamicSimulation(
-        model, body_model, bodies, scenes, device, steps=options.steps, held_above=options.held_above
-    )
-    line, frames = progress_line(f"simulating {model.name}"), []
-
-    def keep(frame: int, vertices: torch.Tensor) -> None:
-        frames.append(rounded(vertices.cpu().numpy()))
-        line((frame + 1) / simulation.frame_count)
-
-    simulation.run(keep)
-    options.output.mkdir(parents=True, exist_ok=True)
-    vertices = np.stack(frames, axis=1).reshape(len(bodies), len(scenes), simulation.frame_count, -1, 3)
-    lost_at = simulation.lost_at.cpu().numpy().reshape(len(bodies), len(scenes))
-    for k, scene in enumerate(scenes):
-        reference = Reference(model.name, scene, bodies, vertices[:, k], lost_at[:, k])
-        save_reference(reference, options.output / f"{model.name}_{scene.name}.npz")
-    lost = int((lost_at < simulation.frame_count).sum())
-    print(
-        f"{simulation.frame_count} frames of {lost_at.size} samples, {lost} of them lost, "
-        f"in {time.monotonic() - began:.0f} s"
-    )
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -29,8 +29,8 @@ REACH = 0.1
 class DressedSamples:
     """Sample `s` is body `body[s]` in the garment.
 
-    bodies: (S, c) shape coefficients of `body_model`. body: (B,) int64 into them. fit: as in `Draper`. one_size: (S,)
-    bool, bodies that wear the template all the same; default none. Raises ValueError as `checked_fit`.
+    bodies: (S, c) shape coefficients of `body_model`. body: (B,) int64 into them. one_size: (S,) bool, bodies that
+    wear the template, the others what is made to measure; default none. Raises ValueError for another rig.
     """
 
     def __init__(
@@ -40,24 +40,22 @@ class DressedSamples:
         bodies: np.ndarray,
         body: torch.Tensor,
         *,
-        fit: float | None = None,
         one_size: np.ndarray | None = None,
     ) -> None:
         self.model, self.body, self.device = model, body, body.device
-        self.fit = fit = checked_fit(model, fit)
+        checked_fit(model, 1.0)
         self.body_set = BodySet(body_model, bodies, self.device)
         self.wearing = Wearing.of(model.garment, body_model).worn_faces()  # as in training
         self.posed_bodies = PosedBodies(body_model, self.body_set, len(body), faces=self.wearing.faces)
         self.drape = drape_from_model(model).to(self.device).eval()
-        fits = MadeToMeasure(model.garment, self.drape, self.body_set, body_model, fit=fit)
-        template = np.full(len(bodies), fit == 0) if one_size is None else one_size | (fit == 0)
-        template = torch.as_tensor(template, device=self.device)
+        fits = MadeToMeasure(model.garment, self.drape, self.body_set, body_model)
+        template = torch.as_tensor(np.zeros(len(bodies), bool) if one_size is None else one_size, device=self.device)
         self.worn = fits.worn(body, ~template[body])
         self.rest = RestData(model.garment, model.material, self.device, shapes=fits.shapes)
         surfaces = self.body_set.vertices.cpu().numpy()
-        self.body_modulation = encode_bodies(self.drape, surfaces, body_model.faces, fit=fit)
+        self.body_modulation = encode_bodies(self.drape, surfaces, body_model.faces, fit=1.0)
         """(S, s), see `encode_bodies`."""
-        if fit > 0 and template.any():
+        if template.any():
             plain = encode_bodies(self.drape, surfaces, body_model.faces)
             self.body_modulation = torch.where(template[:, None], plain, self.body_modulation)
         self._modulation = self.body_modulation[body]

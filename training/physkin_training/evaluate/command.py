@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,21 +20,18 @@ from physkin_training.evaluate.score_table import dynamics_table, outfit_table, 
 __all__ = ["command_parser", "main"]
 
 OF_A_MODEL = {"bodies": 16, "poses": 256, "minimum": 0, "save_model": None}
-OF_OUTFITS = {"bodies": 3, "stride": 60}
-"""Options and their defaults; those of the one kind are refused for the other."""
+OF_OUTFITS = {"bodies": 3}
+"""Options and their defaults."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`."""
+    """Command line: `physkin evaluate MODEL`, `physkin evaluate --outfit GARMENT,GARMENT`. Raises ValueError or OSError
+    for bad input."""
     arguments = command_parser().parse_args(argv)
     score = _score_dynamics if arguments.dynamic else _score_outfits if arguments.outfit else _score_model
-    try:
-        if arguments.json:
-            check_folder(arguments.json)
-        scores = score(arguments)
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    if arguments.json:
+        check_folder(arguments.json)
+    scores = score(arguments)
     if arguments.json:
         arguments.json.write_text(json.dumps(scores, indent=1))
     return 0
@@ -64,12 +60,6 @@ def command_parser() -> argparse.ArgumentParser:
         help="shipped clips, motion files or bags to measure on as well (default: all shipped clips; no CLIP: none)",
     )
     parser.add_argument(
-        "--stride",
-        type=int,
-        metavar="FRAMES",
-        help="for outfits: every how many frames of a clip to measure (default 60)",
-    )
-    parser.add_argument(
         "--minimum",
         type=int,
         metavar="PAIRS",
@@ -91,11 +81,10 @@ def _options(arguments: argparse.Namespace) -> dict:
     """Options of what is measured, by name. Raises ValueError where they do not go together."""
     if bool(arguments.model) == bool(arguments.outfit):
         raise ValueError("give one of MODEL and --outfit GARMENT,GARMENT")
-    known, others = (OF_OUTFITS, OF_A_MODEL) if arguments.outfit else (OF_A_MODEL, OF_OUTFITS)
-    for name in others.keys() - known.keys():
+    known = OF_OUTFITS if arguments.outfit else OF_A_MODEL
+    for name in OF_A_MODEL.keys() - known.keys():
         if getattr(arguments, name) is not None:
-            of, instead = ("MODEL", "--outfit") if arguments.outfit else ("--outfit", "MODEL")
-            raise ValueError(f"--{name.replace('_', '-')} is an option of {of}, not of {instead}")
+            raise ValueError(f"--{name.replace('_', '-')} is an option of MODEL, not of --outfit")
     given = {name: getattr(arguments, name) for name in known}
     return {name: known[name] if value is None else value for name, value in given.items()}
 

@@ -9,7 +9,6 @@ Dimensions: `P` pairs, `B` samples of a batch, `n` garment vertices, `V` body ve
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -23,9 +22,8 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, upright_orientation
-from physkin_core.outfit.outfit_options import add_options
 from physkin_core.output_file import check_folder
-from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, PictureError, contact_sheet, render, save_png
+from physkin_core.pictures.picture import CLOTH_COLOUR, Mesh, contact_sheet, render, save_png
 from physkin_core.progress import progress_line
 from physkin_core.quality import edge_strain
 from physkin_core.rig.rig import Rig
@@ -50,24 +48,16 @@ ITERATIONS = 40
 PIXELS_HIGH = 1.25
 """Height of a picture, relative to its width."""
 LIGHT_PATHS = 8
-PRINTED = {
-    "edge_strain_percent": "% edge strain",
-    "area_strain_percent": "% area strain",
-    "inside_percent": "% inside",
-    "max_depth_mm": "mm deepest",
-    "energy_j": "J",
-}
 
 
 @dataclass(frozen=True)
 class Drapes:
     """Garment vertices (P, n, 3) [m] and edge strains (P,) [%] by row, `model` and perhaps `minimum`, and the bodies
-    under them (P, V, 3) [m], in the root frame; `figures` over all pairs by row."""
+    under them (P, V, 3) [m], in the root frame."""
 
     garments: dict[str, np.ndarray]
     strains: dict[str, np.ndarray]
     bodies: np.ndarray
-    figures: dict[str, dict[str, float]]
 
 
 def chosen_poses(rig: Rig, *, count: int, seed: int, motions: Sequence[Motion] = ()) -> tuple[Pairs, list[str]]:
@@ -104,7 +94,6 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
     pairs = poses[torch.arange(len(poses)).repeat_interleave(count)]
     pairs = replace(pairs, body=torch.arange(count).repeat(len(poses)))
     rows = ["model", "minimum"] if minimum else ["model"]
-    figures = {row: evaluation.new_figures() for row in rows}
     garments: dict[str, list] = {row: [] for row in rows}
     strains: dict[str, list] = {row: [] for row in rows}
     bodies = []
@@ -115,7 +104,6 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
         if minimum:
             drapes["minimum"] = evaluation.full_space_minimum(drapes["model"], batch, iterations=ITERATIONS).vertices
         for row, vertices in drapes.items():
-            evaluation.count_in(figures[row], vertices, batch)
             garments[row].append(vertices[: batch.count].cpu().numpy())
             strains[row] += [
                 float(edge_strain(evaluation.rest_garment(body), x))
@@ -125,7 +113,6 @@ def drape_all(evaluation: Evaluation, poses: Pairs, *, minimum: bool) -> Drapes:
         {row: np.concatenate(parts) for row, parts in garments.items()},
         {row: np.array(values) for row, values in strains.items()},
         np.concatenate(bodies),
-        {row: counted.result() for row, counted in figures.items()},
     )
 
 
@@ -134,16 +121,15 @@ def draw_sheet(
     device: torch.device,
     *,
     poses: int,
-    fit: float | None = None,
     minimum: bool = False,
     motions: Sequence[Motion] = (),
     close: bool = False,
-) -> tuple[np.ndarray, dict[str, dict[str, float]]]:
-    """The sheet (H, W, 3) uint8 of so many poses on three bodies, drapes beside each other, and the figures of
-    `Drapes`. fit: as in `Draper`. motions: see `chosen_poses`. close: the garment fills the pictures, from both sides.
-    Raises PictureError without the [view] extra."""
+) -> np.ndarray:
+    """The sheet (H, W, 3) uint8 of so many poses on three bodies, drapes beside each other. motions: see
+    `chosen_poses`. close: the garment fills the pictures, from both sides. Raises PictureError without the [view]
+    extra."""
     bodies = bodies_by_girth(load_body_model(), len(BODIES))
-    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=0, fit=fit)
+    evaluation = Evaluation(model, device, bodies=bodies, poses=poses, seed=0)
     pairs, names = chosen_poses(model.rig, count=poses, seed=0, motions=motions)
     drapes = _stood(drape_all(evaluation, pairs, minimum=minimum), pairs.gravity.repeat_interleave(len(bodies), dim=0))
     pictures, texts = [], []
@@ -156,7 +142,7 @@ def draw_sheet(
                 of = f"{name}, {body_name}" if row == "model" else row
                 texts.append(f"{of} {drapes.strains[row][pair]:.1f} %")
     columns = len(drapes.garments) * (len(VIEWS) if close else POSES_A_ROW * len(BODIES))
-    return contact_sheet(pictures, columns=columns, captions=texts, gap=4), drapes.figures
+    return contact_sheet(pictures, columns=columns, captions=texts, gap=4)
 
 
 def _stood(drapes: Drapes, gravity: torch.Tensor) -> Drapes:
@@ -207,7 +193,6 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--close", action="store_true", help="fill the pictures with the garment, from the front and the back"
     )
-    add_options(parser, "fit")
     parser.add_argument(
         "--minimum", action="store_true", help="draw the full-space minimum beside the model (minutes on a CPU)"
     )
@@ -216,26 +201,14 @@ def command_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin contact-sheet MODEL -o PNG`."""
+    """Command line: `physkin contact-sheet MODEL -o PNG`. Raises ValueError, OSError or PictureError."""
     arguments = command_parser().parse_args(argv)
-    try:
-        if arguments.output.suffix.lower() != ".png":
-            raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
-        check_folder(arguments.output)
-        model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
-        motions = [load_motion(name, watch=progress_line(f"reading {name}")) for name in arguments.motion or ()]
-        given = {name: getattr(arguments, name) for name in ("poses", "fit", "minimum", "close")}
-        sheet, rows = draw_sheet(model, device, motions=motions, **given)
-        save_png(arguments.output, sheet)
-    except (ValueError, PictureError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    for row, figures in rows.items():
-        listed = ", ".join(f"{figures[figure]:.3f} {unit}" for figure, unit in PRINTED.items())
-        print(f"{row} ({figures['pairs']} pairs): {listed}")
+    if arguments.output.suffix.lower() != ".png":
+        raise ValueError(f"cannot write {arguments.output}: the name must end in .png")
+    check_folder(arguments.output)
+    model, device = load_garment_model(arguments.model), resolve_device(arguments.device)
+    motions = [load_motion(name, watch=progress_line(f"reading {name}")) for name in arguments.motion or ()]
+    given = {name: getattr(arguments, name) for name in ("poses", "minimum", "close")}
+    save_png(arguments.output, draw_sheet(model, device, motions=motions, **given))
     print(f"wrote {arguments.output}")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -232,12 +232,11 @@ class Evaluation:
         """The model, subspace minimum and full-space minimum on the pairs: `model_on_subset`, `subspace_minimum`,
         `minimum`.
 
-        The full-space minimum starts from the lower of the other two. Minima also hold the mean `gradient_norm` at the
-        end, the full-space one the `converged_percent` of its samples (see `Solution`).
+        The full-space minimum starts from the lower of the other two. The latter also has the
+        `converged_percent` of its samples (see `Solution`).
         """
         rows = {name: self.new_figures() for name in ("model_on_subset", "subspace_minimum", "minimum")}
         converged: list[bool] = []
-        norms: dict[str, list[float]] = {"subspace_minimum": [], "minimum": []}
         for batch in self.batches(pairs):
 
             def objective(vertices: torch.Tensor, batch: Batch = batch) -> torch.Tensor:
@@ -248,18 +247,13 @@ class Evaluation:
                 own = self.own_drape(batch)
             subspace = subspace_minimum(objective, self.drape, batch.posed_nodes, raw, rest=batch.rest, detail=detail)
             with torch.no_grad():
-                better = self.energy(subspace.vertices, batch)[1].total < self.energy(own, batch)[1].total
-            start = torch.where(better[:, None, None], subspace.vertices, own)
-            minima = {"subspace_minimum": subspace, "minimum": self.full_space_minimum(start, batch)}
-            converged += minima["minimum"].converged[: batch.count].tolist()
-            for name, minimum in minima.items():
-                norms[name] += minimum.gradient_norm[: batch.count].tolist()
-            for name, vertices in {"model_on_subset": own, **{k: m.vertices for k, m in minima.items()}}.items():
+                better = self.energy(subspace, batch)[1].total < self.energy(own, batch)[1].total
+            solution = self.full_space_minimum(torch.where(better[:, None, None], subspace, own), batch)
+            converged += solution.converged[: batch.count].tolist()
+            for name, vertices in zip(rows, (own, subspace, solution.vertices)):
                 self.count_in(rows[name], vertices, batch)
             self.watch(MINIMUM_COST * batch.count)
         results = {name: figures.result() for name, figures in rows.items()}
-        for name, values in norms.items():
-            results[name]["gradient_norm"] = sum(values) / len(values)
         results["minimum"]["converged_percent"] = 100 * sum(converged) / len(converged)
         return results
 

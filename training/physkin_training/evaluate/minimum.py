@@ -1,7 +1,6 @@
 """The energy's minimum over the garment nodes' numbers, free per pose (the full space has `full_space_solver`).
 
-The same energies, minimised with Adam under a cosine-decayed rate, a fixed number of steps; the gradient norms at the
-end are reported with the result, so that a reader can tell how well it converged.
+The same energies, minimised with Adam under a cosine-decayed rate, a fixed number of steps.
 Dimensions: `B` samples, `m` garment nodes, `n` vertices.
 """
 
@@ -9,27 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
 
-__all__ = ["Minimum", "subspace_minimum"]
+__all__ = ["subspace_minimum"]
 
 STEPS, RATE = 2000, 5e-3
 """Steps of Adam, and the rate of the first."""
 Energy = Callable[[torch.Tensor], torch.Tensor]
 """Differentiable mean energy [J] of garment vertices (B, n, 3)."""
-
-
-@dataclass(frozen=True)
-class Minimum:
-    """Where a minimisation ended: vertices (B, n, 3) [m], and norm (B,) of each sample's energy gradient there, by the
-    free numbers. Both detached."""
-
-    vertices: torch.Tensor
-    gradient_norm: torch.Tensor
 
 
 def subspace_minimum(
@@ -40,22 +29,18 @@ def subspace_minimum(
     *,
     rest: RestShape | None = None,
     detail: torch.Tensor | None = None,
-) -> Minimum:
-    """Minimise over the garment nodes' numbers `raw` (B, m, 12), skinning weights fixed. rest: of the samples, default
-    the template. detail: offsets of detail nodes (B, D, 3) [m] that stay as they are, so that the minimum is below the
-    model's own drape, which they belong to; default none."""
+) -> torch.Tensor:
+    """Vertices (B, n, 3) [m], detached, of the minimum over the garment nodes' numbers `raw` (B, m, 12), skinning
+    weights fixed. rest: of the samples, default the template. detail: offsets of detail nodes (B, D, 3) [m] that stay
+    as they are, so that the minimum is below the model's own drape, which they belong to; default none."""
     free = raw.detach().clone().requires_grad_(True)
     optimiser = torch.optim.Adam([free], lr=RATE)
 
     def shape() -> torch.Tensor:
         return drape.skin(compose_nodes(posed_nodes, delta_transforms(free)), rest, detail)
 
-    def compute_gradient() -> None:
-        (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
-
     for step in range(STEPS):
         optimiser.param_groups[0]["lr"] = RATE * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * step / STEPS)))
-        compute_gradient()
+        (free.grad,) = torch.autograd.grad(energy(shape()) * len(free), free)
         optimiser.step()
-    compute_gradient()
-    return Minimum(shape().detach(), torch.linalg.vector_norm(free.grad.flatten(1), dim=1))
+    return shape().detach()

@@ -30,8 +30,8 @@ from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 __all__ = ["RUN", "evaluate_outfits", "parse_outfit"]
 
-RUN = 5
-"""Neighbouring frames of a run: three second differences."""
+RUN, STRIDE = 5, 60
+"""Neighbouring frames of a run: three second differences; and frames at 60 Hz from the start of one to the next."""
 LEAD = 8
 """Frames before each run, which are draped and not measured: what is kept from frame to frame is then as in playing."""
 
@@ -150,12 +150,10 @@ def evaluate_outfits(
     motions: Sequence[Motion],
     *,
     bodies: int = 3,
-    stride: int = 60,
 ) -> dict:
     """Figures of outfits by name, as plain data; on a terminal, progress is shown meanwhile.
 
-    bodies: held-out ones, evenly spread from the leanest to the stoutest. stride: frames at 60 Hz from the start of one
-    run to the next. An outfit has:
+    bodies: held-out ones, evenly spread from the leanest to the stoutest. An outfit has:
     `shows_through_percent`: of the pixels that should show a garment over another one, those that show the inner one;
     `skin_shows_percent` likewise; `hole_percent` of the cloth's pixels show a hole where cloth or skin is left out;
     `added_strain_points` of mean edge strain and `added_jitter_ratio`, against each garment alone on that body, of the
@@ -165,15 +163,13 @@ def evaluate_outfits(
     """
     if not motions:
         raise ValueError("outfits are measured in motion: give at least one clip")
-    if stride < RUN:
-        raise ValueError(f"stride must be at least {RUN} frames, the length of a run, got {stride}")
     clips = measured_clips(motions)
     for clip in clips:
         if clip.frame_count < RUN:
             raise ValueError(f"motion {clip.name!r} is too short: a run is {RUN} frames, got {clip.frame_count}")
     body_model = load_body_model()
     held_out = body_model.held_out_bodies[bodies_by_girth(body_model, bodies)]
-    runs = {clip.name: range(0, clip.frame_count - RUN + 1, stride) for clip in clips}
+    runs = {clip.name: range(0, clip.frame_count - RUN + 1, STRIDE) for clip in clips}
     frames = sum(map(len, runs.values()))
     scores: dict = {}
     watch = counting_line("measuring outfits", len(outfits) * bodies * frames)
@@ -194,5 +190,5 @@ def evaluate_outfits(
                 total[key] += values
         scores[name] = _figures(total, names)
         scores[name]["clips"] = {clip: _figures(counts, names) for clip, counts in counted.items()}
-    counts = {"bodies": bodies, "clips": len(clips), "frames": frames, "stride": stride, "run": RUN}
+    counts = {"bodies": bodies, "clips": len(clips), "frames": frames, "stride": STRIDE, "run": RUN}
     return {"outfit": scores, "counts": counts}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tabulate import tabulate
 
-__all__ = ["dynamics_table", "outfit_table", "table"]
+__all__ = ["dynamics_table", "outfit_table", "remarks", "table", "table_cells"]
 
 LARGEST_LIFT = 0.2
 """Mean rise [m] of the garment above plain skinning from which on it is taken to have left the body."""
@@ -48,34 +48,40 @@ ROWS = {
 
 
 def table(scores: Mapping) -> str:
-    """The rows of `evaluate_model` as a Markdown table.
+    """The rows of `evaluate_model` as a Markdown table, and below it `remarks`."""
+    header, *cells = table_cells(scores)
+    return "\n\n".join([tabulate(cells, header, tablefmt="pipe", floatfmt=".3f"), *remarks(scores)])
 
-    Below it the energy ratio, the jitter ratio, and a warning when the garment has left the body (strain and contact of
-    such a garment look excellent).
-    """
+
+def table_cells(scores: Mapping) -> list[list]:
+    """A header and the rows of `evaluate_model`; figures that a row does not have are None."""
     rows = {label.format(**scores["counts"]): scores[row] for row, label in ROWS.items() if row in scores}
-    motion = scores.get("motion")
-    rows |= _motion_rows(motion)
+    rows |= _motion_rows(scores.get("motion"))
     made = scores.get("made_to_measure", {})
     made_rows = {label: made[row] for row, label in ROWS.items() if row in made} | _motion_rows(made.get("motion"))
     rows |= {f"{label}, made to measure": figures for label, figures in made_rows.items()}
     cells = [[label, *(figures.get(column) for column in COLUMNS)] for label, figures in rows.items()]
-    lines = [tabulate(cells, ["", *COLUMNS.values()], tablefmt="pipe", floatfmt=".3f")]
+    return [["", *COLUMNS.values()], *cells]
+
+
+def remarks(scores: Mapping) -> list[str]:
+    """The energy ratio, the jitter ratio, and a warning when the garment has left the body (strain and contact of such
+    a garment look excellent), a line each."""
+    lines = []
     if "minimum" in scores:
         ratio, pairs = scores["energy_ratio"], scores["counts"]["minimum_pairs"]
-        lines += ["", f"Stretch, bend and contact energy, model / full-space minimum: {ratio:.2f} ({pairs} pairs)"]
-        lines += [f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %"]
-    if motion:
+        lines.append(f"Stretch, bend and contact energy, model / full-space minimum: {ratio:.2f} ({pairs} pairs)")
+        lines.append(f"Full-space minima converged: {scores['minimum']['converged_percent']:.0f} %")
+    if motion := scores.get("motion"):
         of = "{clips} clips, {frames} frames at {rate_hz:g} Hz, {bodies} bodies".format(**motion["counts"])
-        lines += ["", f"Jitter, model / plain skinning: {motion['jitter_ratio']:.2f} ({of})"]
+        lines.append(f"Jitter, model / plain skinning: {motion['jitter_ratio']:.2f} ({of})")
     lift = (scores["model"]["gravity_j"] - scores["skinning"]["gravity_j"]) / scores["weight_n"]
     if lift > LARGEST_LIFT:
-        lines += [
-            "",
+        lines.append(
             f"WARNING: the garment lies {lift:.2f} m higher than with plain skinning on average; it may have left the "
-            "body, and its other figures then mean nothing. Look at it.",
-        ]
-    return "\n".join(lines)
+            "body, and its other figures then mean nothing. Look at it."
+        )
+    return lines
 
 
 def outfit_table(scores: Mapping) -> str:

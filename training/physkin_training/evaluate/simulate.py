@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -159,30 +158,22 @@ def _turned_on(offset: torch.Tensor, turned: torch.Tensor, now: torch.Tensor) ->
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line entry: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge, 2 after an error."""
+    """Command line: `physkin simulate GARMENT`. Returns 0, 1 when a drape did not converge. Raises ValueError or
+    OSError for bad input."""
     arguments = sys.argv[1:] if argv is None else argv
     if "--dynamic" in arguments:
         from physkin_training.dynamics.command import main as simulate_dynamically
 
         return simulate_dynamically(arguments)
-    options = command_parser().parse_args(argv)
-    try:
-        return _simulate(options)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return _simulate(command_parser().parse_args(arguments))
 
 
 MATERIAL = {
     "youngs_modulus": "stiffness of the membrane [N/m]",
-    "poisson_ratio": "Poisson ratio of the membrane",
     "bending": "stiffness in bending [J]",
-    "density": "mass by area [kg/m2]",
-    "contact_offset": "distance that cloth keeps from the body [m]",
-    "contact_stiffness": "stiffness of the contact [J/m4]",
     "rest_angles": "whether cloth is flat at rest, or as its mesh lies",
 }
-"""What its fields are, for --help."""
+"""Of its fields those that are options, and what they are."""
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -200,10 +191,10 @@ def command_parser() -> argparse.ArgumentParser:
         help="let the cloth move through time; it has other options: physkin simulate --dynamic --help",
     )
     parser.add_argument("--start-from", metavar="MODEL", help="trained garment to start from (default: plain skinning)")
-    for entry in fields(Material):
-        name = "--" + entry.name.replace("_", "-")
-        kind = {"choices": get_args(RestAngles)} if entry.name == "rest_angles" else {"type": float, "metavar": "X"}
-        parser.add_argument(name, default=entry.default, help=f"{MATERIAL[entry.name]} (default %(default)s)", **kind)
+    for name, said in MATERIAL.items():
+        kind = {"choices": get_args(RestAngles)} if name == "rest_angles" else {"type": float, "metavar": "X"}
+        default, option = getattr(Material(), name), "--" + name.replace("_", "-")
+        parser.add_argument(option, default=default, help=f"{said} (default %(default)s)", **kind)
     parser.add_argument(
         "--tolerance",
         type=float,
@@ -224,7 +215,7 @@ def _simulate(options: argparse.Namespace) -> int:
     suffixes = (".obj", ".ply", ".npz") if len(options.frame) == 1 else (".npz",)
     if options.output.suffix.lower() not in suffixes:
         raise ValueError(f"cannot write {options.output}: the name must end in {' or '.join(suffixes)}")
-    material = Material(**{entry.name: getattr(options, entry.name) for entry in fields(Material)})
+    material = Material(**{name: getattr(options, name) for name in MATERIAL})
     garment = load_garment(options.garment)
     model = load_garment_model(options.start_from) if options.start_from else plain_model(garment)
     body_model = load_body_model()
@@ -314,7 +305,3 @@ def _draw(path: Path, avatar: Avatar, garment: Garment, bodies: np.ndarray, drap
         for body, drape in zip(bodies, drapes, strict=True)
     ]
     save_png(path, images[0] if len(images) == 1 else contact_sheet(images, columns=min(4, len(images))))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

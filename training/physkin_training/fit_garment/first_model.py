@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
-from physkin_core.check.garment_check import GarmentCheck, check_garment
+from physkin_core.check.garment_check import check_garment
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model, shipped_models
@@ -19,7 +16,7 @@ from physkin_training.fit_garment.verdicts import Verdict
 from physkin_training.transfer.likeness import NEAR, Likeness
 from physkin_training.transfer.model_transfer import transferred_model
 
-__all__ = ["NOTHING", "FirstLook", "chosen_start", "first_look", "first_model", "folds_verdict"]
+__all__ = ["NOTHING", "chosen_start", "first_look", "first_model", "folds_verdict"]
 
 CHECK, NOTHING = "nearest garment", "nothing"
 CLOSE, ROUGH = 6.0, 12.0
@@ -64,39 +61,20 @@ def folds_verdict(garment: Garment, model: GarmentModel) -> Verdict:
     return Verdict("folds", "repaired", found, "those of the garment that training begins with")
 
 
-@dataclass(frozen=True)
-class FirstLook:
-    """checks: how it is worn, on the user's avatar first; draper: who wears it there."""
-
-    checks: Sequence[GarmentCheck]
-    draper: Draper
-
-    @property
-    def strain(self) -> float:
-        """Mean edge strain in everyday poses [%]."""
-        return float(np.mean([check.everyday.edge_strain_percent for check in self.checks]))
-
-    @property
-    def inside(self) -> float:
-        """Share of the cloth inside the body in everyday poses [%]."""
-        return float(np.mean([check.everyday.inside_percent for check in self.checks]))
-
-    def __str__(self) -> str:
-        if self.strain <= CLOSE:
-            trust = "near to a trained garment: judge cut and fit by it"
-        elif self.strain <= ROUGH:
-            trust = "a sketch: judge length and place by it, not folds"
-        else:
-            trust = "a stand-in: only where it lies is right"
-        return (
-            f"{trust}. In everyday poses on {len(self.checks)} bodies edges strain by {self.strain:.1f} % (trained "
-            f"garments 1 to 4 %), {self.inside:.1f} % of the cloth is inside the body"
-        )
-
-
-def first_look(model: GarmentModel, avatar: Avatar, body_model: BodyModel) -> FirstLook:
-    """Put it on the avatar and on some held-out bodies."""
+def first_look(model: GarmentModel, avatar: Avatar, body_model: BodyModel) -> tuple[str, Draper]:
+    """How far to trust it, in words, by how it is worn on the avatar and on some held-out bodies; and on the avatar."""
     draper = Draper(model, avatar)
     others = [avatar_from_body(body_model, body) for body in body_model.held_out_bodies[:BODIES]]
     drapers = [draper, *(Draper(model, body) for body in others)]
-    return FirstLook([check_garment(each.layer, each.avatar) for each in drapers], draper)
+    worn = [check_garment(each.layer, each.avatar).everyday for each in drapers]
+    strain, inside = (np.mean([getattr(each, of) for each in worn]) for of in ("edge_strain_percent", "inside_percent"))
+    if strain <= CLOSE:
+        trust = "near to a trained garment: judge cut and fit by it"
+    elif strain <= ROUGH:
+        trust = "a sketch: judge length and place by it, not folds"
+    else:
+        trust = "a stand-in: only where it lies is right"
+    return (
+        f"{trust}. In everyday poses on {len(worn)} bodies edges strain by {strain:.1f} % (trained garments 1 to 4 %), "
+        f"{inside:.1f} % of the cloth is inside the body"
+    ), draper

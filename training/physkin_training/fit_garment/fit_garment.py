@@ -315,17 +315,13 @@ def _begun(
         else:
             log.warning("training begins with nothing: %s has other sizes than %s", settings.recipe, model.name)
     save_garment_model(model, output)
-    look = first_look(model, avatar, body_model)
-    print(f"wrote {output}, to be worn while it trains: {look}")
+    trust, draper = first_look(model, avatar, body_model)
+    print(f"wrote {output}, to be worn while it trains: {trust}")
     try:
-        save_png(folder / FIRST, in_motion(look.draper))
+        save_png(folder / FIRST, in_motion(draper))
         print(f"wrote {folder / FIRST}")
     except PictureError as error:
         print(f"no picture: {error}")
     if settings.steps:
         recipe = replace(recipe, optimisation=replace(recipe.optimisation, steps=settings.steps))
     return Trainer(recipe, device, garment=checked.garment, start=start)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

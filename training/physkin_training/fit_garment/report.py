@@ -20,14 +20,14 @@ from physkin_core.outfit.draper import Draper
 from physkin_core.pictures.picture import PictureError, save_png
 from physkin_training.evaluate.contact_sheet import draw_sheet
 from physkin_training.evaluate.evaluate import evaluate_model
-from physkin_training.evaluate.score_table import table
+from physkin_training.evaluate.score_table import remarks, table_cells
 from physkin_training.fit_garment.checks import CheckedGarment
 from physkin_training.fit_garment.pictures import at_rest, worn_in_two_poses
 from physkin_training.fit_garment.training_record import TrainingRecord, learnt, taken_over
 from physkin_training.fit_garment.verdicts import COLUMNS, Verdict
 from physkin_training.time_budget import TimeBudget
 
-__all__ = ["badge", "html_page", "html_table", "write_report"]
+__all__ = ["badge", "html_page", "write_report"]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
@@ -59,8 +59,6 @@ $pictures
 $figures
 <h2>Training</h2>
 $curve""")
-RULER = set("|:-")
-"""Of which the second line of a Markdown table is made."""
 
 
 def write_report(
@@ -118,7 +116,7 @@ def write_report(
         how_it_sits=how_it_sits,
         pictures=pictures,
         counts="{bodies} held-out bodies, {poses} poses each".format(**scores["counts"]),
-        figures=html_table(table(scores)),
+        figures=_figures(scores),
         curve=record.loss_curve(),
     )
     output.with_suffix(".html").write_text(html_page(model.name, body), encoding="utf-8")
@@ -155,7 +153,7 @@ def _pictures(
             parts += ["<p>On your avatar, in the poses of the first rows:</p>", _image(worn_in_two_poses(worn))]
         if poses < 1:
             return [*parts, _note(late.format("a sheet"))]
-        sheet, _ = draw_sheet(model, device, poses=poses)
+        sheet = draw_sheet(model, device, poses=poses)
     except PictureError as error:
         return [_note(str(error))]
     save_png(output.with_suffix(".png"), sheet)
@@ -197,14 +195,13 @@ def _verdicts(checked: CheckedGarment) -> str:
     return f"{shown}<details><summary>{len(ok)} checks found nothing amiss</summary>{rows(ok)}</details>"
 
 
-def html_table(markdown: str) -> str:
-    """A Markdown table, without columns that are empty, and the lines after it as HTML."""
-    lines = markdown.splitlines()
-    cells = [line[1:-1].split("|") for line in lines if line.startswith("|") and not set(line) <= RULER]
-    filled = [column for column in zip(*cells) if any(cell.strip() for cell in column[1:])]
-    header, *rows = ([cell.strip() for cell in row] for row in zip(*filled))
-    notes = "".join(f"<p>{html.escape(line)}</p>" for line in lines if line and not line.startswith("|"))
-    return tabulate(rows, header, tablefmt="html", disable_numparse=True) + notes
+def _figures(scores: dict) -> str:
+    """The table of `physkin evaluate`, without columns that are empty, and what is said below it, HTML."""
+    header, *rows = zip(
+        *(column for column in zip(*table_cells(scores)) if any(cell is not None for cell in column[1:]))
+    )
+    said = "".join(f"<p>{html.escape(line)}</p>" for line in remarks(scores))
+    return tabulate(rows, header, tablefmt="html", floatfmt=".3f") + said
 
 
 def _image(picture: np.ndarray) -> str:

@@ -15,8 +15,7 @@ from torch import nn
 from physkin_core.model.garment import Garment
 from physkin_core.rig.rig import Rig
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
-from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.networks import Networks
 from physkin_training.sampling.posed_bodies import BodySet
 
@@ -45,9 +44,8 @@ class RestShape:
 class Drape(nn.Module):
     """Pose, body modulation and bone transforms to deformed vertices; skinning weights are a softmax of logits.
 
-    Skinning is one dense product: a vertex's basis is w_vi (x_v - chi-bar_i, 1) over all garment nodes. The same
-    garment nodes carry the garment by a second set of skinning weights, of fewer influences a vertex, as engines want
-    them. detail: of a garment that has folds between its garment nodes, offsets of rest vertices.
+    The same garment nodes carry the garment by a second set of skinning weights, of fewer influences a vertex, as
+    engines want them. detail: of a garment that has folds between its garment nodes, offsets of rest vertices.
     """
 
     def __init__(
@@ -160,19 +158,9 @@ class Drape(nn.Module):
         rest: the samples' rest shapes, default the template for all. detail: offsets of detail nodes (B, D, 3) [m],
         default none. for_engines: by the second set of weights.
         """
-        n, m = len(self.vertices), len(self.node_rest)
-        dense = self.dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
-        if detail is not None:
-            rest = rest or RestShape(
-                self.vertices.expand(len(nodes), -1, -1), self.node_rest.expand(len(nodes), -1, -1)
-            )
-            rest = rest.moved(self.vertex_offsets(detail))
-        if rest is not None:
-            return rest.carried(dense, nodes)
-        offset = self.vertices[:, None] - self.node_rest
-        basis = torch.cat([dense[..., None] * offset, dense[..., None]], dim=-1).view(n, 4 * m)
-        handles = nodes.permute(1, 3, 0, 2).reshape(4 * m, -1)
-        return (basis @ handles).view(n, -1, 3).transpose(0, 1).contiguous()
+        weights = self.dense(self.engine_weights if for_engines else self.skinning_weights, nodes)
+        rest = rest or RestShape(*(each.expand(len(nodes), -1, -1) for each in (self.vertices, self.node_rest)))
+        return rest.moved(None if detail is None else self.vertex_offsets(detail)).carried(weights, nodes)
 
     def vertex_offsets(self, detail: torch.Tensor) -> torch.Tensor:
         """Offsets of rest vertices (B, n, 3) [m] of those of detail nodes (B, D, 3)."""

@@ -1,6 +1,7 @@
-"""Garment nodes on a mesh: farthest-point sampling and initial skinning weights from heat-method distances.
+"""Garment nodes and detail nodes on a mesh: farthest-point sampling and initial weights from heat-method distances.
 
-Paper: Node-based Skinning for Garments. Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex. Metres.
+Paper: Node-based Skinning for Garments. Dimensions: `n` vertices, `m` garment nodes, `K` of them a vertex, `D` detail
+nodes, `J` of them a vertex. Metres.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.garment_nodes import closest_bones
 from physkin_core.rig.rig import Rig
+from physkin_training.config import DetailConfig
 
-__all__ = ["GarmentNodeSet", "initial_skinning_weights", "sample_garment_nodes"]
+__all__ = ["DetailNodeSet", "GarmentNodeSet", "initial_skinning_weights", "sample_garment_nodes"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,35 @@ class GarmentNodeSet:
     def of_model(cls, model: GarmentModel) -> GarmentNodeSet:
         """Those of a garment model, with its skinning weights."""
         return cls(model.node_rest, model.node_bone, model.influence_nodes, model.influence_weights)
+
+
+@dataclass(frozen=True)
+class DetailNodeSet:
+    """count: D. features: numbers that move them. influence_nodes (n, J), influence_weights (n, J)."""
+
+    count: int
+    features: int
+    influence_nodes: np.ndarray
+    influence_weights: np.ndarray
+
+    @classmethod
+    def sample(cls, garment: Garment, config: DetailConfig) -> DetailNodeSet | None:
+        """Spread as garment nodes are, all vertices of a mesh that has no more; None where there are to be none."""
+        if config.nodes == 0:
+            return None
+        vertices = len(garment.vertices)
+        if config.nodes >= vertices:
+            return cls(vertices, config.features, np.arange(vertices)[:, None], np.ones((vertices, 1)))
+        _, distances = sample_garment_nodes(garment, config.nodes)
+        return cls(config.nodes, config.features, *initial_skinning_weights(garment, distances, config.influences))
+
+    @classmethod
+    def of_model(cls, model: GarmentModel) -> DetailNodeSet | None:
+        """Those of a garment model; None where it has none."""
+        if (detail := model.detail) is None:
+            return None
+        numbers, features = detail.offsets.shape
+        return cls(numbers // 3, features, detail.nodes, detail.weights)
 
 
 def sample_garment_nodes(garment: Garment, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from physkin_core.model.hyper_modulator import ENCODING_FREQUENCIES, HEADS, token_features
 from physkin_training.config import NetworkConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet
 
 __all__ = ["DetailNetwork", "HyperModulator", "ModulatedMLP", "Networks"]
 

@@ -66,7 +66,7 @@ class _Batch:
 
 
 def fitted_weights(
-    model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int | None = None, seed: int = 0
+    model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int | None = None
 ) -> GarmentModel:
     """The model with skinning weights, both sets, and weights of detail nodes for which its cloth is strained less, on
     training bodies in poses as in training: every second one made to measure.
@@ -94,7 +94,7 @@ def fitted_weights(
         rest=RestData(garment, model.material, device, shapes=fits.shapes),
     )
     sampler = PoseSampler.of_training(body_model.rig, torch.device("cpu"))
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     surfaces = bodies.vertices.cpu().numpy()
     encoded = [
         encode_bodies(drape, surfaces, body_model.faces, fit=fit, points=ENCODER_POINTS) for fit in (0.0, 1.0)

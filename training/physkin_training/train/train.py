@@ -89,7 +89,3 @@ def _minutes(text: str) -> float:
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text} must be above 0 minutes and finite")
     return value
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

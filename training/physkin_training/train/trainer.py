@@ -23,9 +23,8 @@ from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
-from physkin_training.networks.detail_nodes import DetailNodeSet
 from physkin_training.networks.draping import Drape, RestShape
-from physkin_training.networks.garment_nodes import GarmentNodeSet
+from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
 from physkin_training.physics.rest_data import RestData
