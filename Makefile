@@ -47,7 +47,7 @@ test:
 test-slow: $(VENV)/installed-test
 	$(PYTEST) -m slow
 
-bench: $(VENV)/installed-demo
+bench: $(VENV)/installed-bench
 	PYTHONPATH=training $(VENV)/bin/python -m physkin_bench
 
 # A site, in build/site, with docs/architecture.svg drawn anew; after `make wasm` with a figure whose clothes are live.
@@ -126,6 +126,10 @@ $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
 	$(PIP) torch && $(PIP) --editable ".[completion,compressed,docs,ros,replay,training,usd,view,test]" && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-view $(VENV)/installed-docs $(VENV)/installed-lint
+
+$(VENV)/installed-bench: $(BUILT_FROM) | $(VENV)/bin/python
+	$(PIP) --editable ".[bench]"
+	touch $@
 
 $(VENV)/installed-docs: constraints.txt | $(VENV)/bin/python
 	$(PIP) mkdocs-material "mkdocstrings[python]"

@@ -1,25 +1,36 @@
-"""The benchmarks: their keys, and how calls take turns."""
+"""The benchmarks: their keys, what they say of peers that are missing or wrong, and that peers get the same graph."""
 
 import json
 import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from random_models import random_detail
 
+from physkin_bench import measurement
 from physkin_bench.__main__ import main
+from physkin_bench.cases import paper_case, skinning_case
+from physkin_bench.litert_networks import network_case
+from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
 from physkin_core import cli
 from physkin_core.bench import STAGES, time_in_turns
-from physkin_core.runtime.evaluator import PRECISIONS, supported_instruction_sets
+from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
 
 
 @pytest.fixture(scope="module")
 def figures(model_path, tmp_path_factory):
-    """A short run."""
+    """A short run with LiteRT not installed."""
     path = tmp_path_factory.mktemp("bench") / "figures.json"
-    assert main([str(model_path), "--no-paper", "--rounds", "1", "--json", str(path)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+        patch.setattr(measurement, "SKINNING_PEERS", ())
+        command = [str(model_path), "--no-paper", "--rounds", "1"]
+        assert main([*command, "--json", str(path)]) == 0
     return json.loads(path.read_text())
 
 
@@ -34,6 +45,7 @@ def test_times_and_errors_are_told(figures):
         assert 0 < minimum <= median <= p99
     assert 0 < figures["error.bf16.vertices.mm.max"] < 10
     assert " cores, " in figures["machine"] and f"numpy {np.__version__}" in figures["versions"]
+    assert all("not installed" in figures["missing"][f"networks.litert_{kind}"] for kind in ("fp32", "int8"))
 
 
 def test_every_key_is_documented(figures):
@@ -58,6 +70,52 @@ def test_what_is_installed_times_this_machine(model_path, tmp_path, capsys):
     figures, level = json.loads(path.read_text()), supported_instruction_sets()[-1]
     assert figures["machine"] and figures["model"] == "vest"
     assert f"| int8 | {level} | {figures[f'int8.{level}.posing.us.p50']:.1f} (" in capsys.readouterr().out
+
+
+def test_peers_that_fail_or_differ_are_left_out():
+    """Neither may end the benchmark, nor be timed."""
+
+    def broken(case):
+        raise RuntimeError("no such device\nat line 3")
+
+    def giving(*values):
+        return lambda case: (lambda: None, lambda: np.array(values))
+
+    peers = [Peer("right", giving(1.0, 2.0001)), Peer("wrong", giving(1.0, 2.1))]
+    peers += [Peer("nan", giving(1.0, np.nan)), Peer("broken", broken)]
+    calls, missing = prepare_peers(peers, None, np.array([1.0, 2.0]))
+    assert list(calls) == ["right"] and missing.keys() == {"wrong", "nan", "broken"}
+    assert missing["broken"] == "failed: RuntimeError: no such device" and "5.0e-02" in missing["wrong"]
+
+
+def folded(bound):
+    """A bound garment with detail."""
+    rng = np.random.default_rng(6)
+    detail = random_detail(rng, bound, 40, width=len(bound.deformer_layers[-2][1]), offset=0.005)
+    return replace(
+        bound,
+        detail_layers=(detail.features,),
+        detail_offsets=detail.offsets,
+        detail_nodes=detail.nodes,
+        detail_weights=detail.weights,
+    )
+
+
+@pytest.mark.parametrize("has_detail", [False, True])
+def test_peers_compute_the_same(has_detail):
+    """On the paper's sizes; one that is not installed is left out. The graph itself is the native evaluator's."""
+    case = paper_case()
+    bound = folded(case.bound) if has_detail else case.bound
+    evaluator = Evaluator([bound], precision="fp32")
+    out = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    evaluator.evaluate(case.joint_positions[0], case.inputs[0], [out])
+    networks = network_case(bound, case.joint_positions[0], case.inputs[0, 0, :3], evaluator)
+    assert networks.expected.shape == (1, 12 * len(bound.node_rest) + (7 if has_detail else 0))
+    skinning = skinning_case(bound, evaluator.node_transforms(), evaluator.features())
+    np.testing.assert_allclose(out, skinning.expected, atol=1e-5)
+    for peers, task in ((NETWORK_PEERS, networks), (SKINNING_PEERS, skinning)):
+        _, missing = prepare_peers(peers, task, task.expected)
+        assert [reason for reason in missing.values() if "not installed" not in reason] == []
 
 
 def test_calls_take_turns():

@@ -1,1 +1,1 @@
-"""Benchmark in a clone, by `make bench`: the native evaluator in more cases than `physkin bench` has."""
+"""Benchmarks in a clone, by `make bench`: the evaluator against its peers, which are imported only when it runs."""

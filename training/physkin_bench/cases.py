@@ -17,14 +17,16 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.mlp import Layer
 from physkin_core.model.model_file import load_garment_model
+from physkin_core.model.skinning import skinning_matrices
 from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import Skinner
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
 from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
-__all__ = ["BenchmarkCase", "model_case", "paper_case"]
+__all__ = ["BenchmarkCase", "SkinningCase", "model_case", "paper_case", "skinning_case"]
 
 SEED = 2603
 MOTIONS, POSES_A_MOTION = ("walk", "dance", "crawl"), 20
@@ -53,9 +55,30 @@ class BenchmarkCase:
     limbs: tuple[CollisionShape, np.ndarray] | None = None
 
 
-def model_case(model: str | Path) -> BenchmarkCase:
-    """A garment model, by its file or shipped name, on the bundled avatar, in poses of the bundled motions. Raises what
-    `load_garment_model`, `load_avatar` and `bind_garment` raise."""
+@dataclass(frozen=True)
+class SkinningCase:
+    """Skinning and normals of faces alone. matrices: (m, 3, 4) float32, from rest to posed garment. features: (F,)
+    float32 that move detail nodes. expected: (n, 6) float32."""
+
+    bound: BoundGarment
+    matrices: np.ndarray
+    features: np.ndarray
+    expected: np.ndarray
+
+
+def skinning_case(bound: BoundGarment, node_transforms: np.ndarray, features: np.ndarray) -> SkinningCase:
+    """The skinning of a bound garment by given garment nodes (m, 3, 4) and features: positions and unit normals."""
+    expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    Skinner(bound, precision="fp32").skin(node_transforms, expected, features)
+    matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
+    return SkinningCase(bound, matrices, features, expected)
+
+
+def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:
+    """A garment model, by its file or shipped name, on the bundled avatar, in poses of the bundled motions.
+
+    fit: as in `Draper`. Raises what `load_garment_model`, `load_avatar` and `bind_garment` raise.
+    """
     loaded = load_garment_model(model)
     avatar = load_avatar(BUNDLED_AVATAR, loaded.rig)
     body = load_body_model()
@@ -71,7 +94,7 @@ def model_case(model: str | Path) -> BenchmarkCase:
         gravity.append(motion.gravity[frames])
     return BenchmarkCase(
         name=loaded.name,
-        bound=bind_garment(loaded, avatar),
+        bound=bind_garment(loaded, avatar, fit=fit),
         joint_positions=np.concatenate(positions).astype(np.float32),
         inputs=_inputs(np.concatenate(gravity)),
         limbs=limbs,
