@@ -15,9 +15,9 @@ from physkin_core.points.splat_draper import SplatDraper
 from physkin_core.points.splats import Splats
 from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.rig.rig import DegreeOfFreedom, Rig, RigError
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.separation.limb_separator import LimbSeparator
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = [
     "BUNDLED_AVATAR",

@@ -22,7 +22,7 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
-from physkin_core.sway.frame_input import FrameInput
+from physkin_core.runtime.frame_input import FrameInput
 
 __all__ = [
     "STAGES",

@@ -10,7 +10,7 @@ from reference.frame_input import FrameInput as ReferenceRow
 from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator
-from physkin_core.sway.frame_input import FrameInput
+from physkin_core.runtime.frame_input import FrameInput
 
 __all__ = ["NativeFrame", "NativeFrameInput", "NativeLayerOrder", "clouds", "told"]
 

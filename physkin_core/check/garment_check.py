@@ -18,8 +18,8 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.surface_paths import hem_distances, openings
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.quality import contact_figures, edge_strain, signed_distance
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["VERDICTS", "GarmentCheck", "RestCheck", "Verdict", "check_garment", "rest_check", "stands_off_mm"]
 

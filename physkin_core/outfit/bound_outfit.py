@@ -20,8 +20,8 @@ from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.taking_in import taken_in
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer, WornGarment
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["BoundOutfit", "bind_outfit", "hidden_body"]
 

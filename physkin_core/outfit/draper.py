@@ -20,9 +20,9 @@ from physkin_core.rig.bone_rotations import BoneRotations
 from physkin_core.runtime.binding import bind_points
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Precision
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.runtime.rest_look import RestLook
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["Draper"]
 

@@ -26,9 +26,9 @@ from physkin_core.rig.vrm_bones import vrm_bone_table
 from physkin_core.runtime.bound_file import save_bound_outfit
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, Precision
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.runtime.other_fabrics import fabric_of, other_fabrics
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["Outfit"]
 

@@ -17,8 +17,8 @@ import numpy as np
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.outfit.dressing import tuck_in
 from physkin_core.runtime.binding import rest_normals
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["taken_in"]
 

@@ -20,8 +20,8 @@ from physkin_core.outfit.draper import Draper
 from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
 from physkin_core.runtime.evaluator import NO_FEATURES, Precision, Skinner
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["BoundSplats", "SplatDraper", "SplatSkinner", "bind_splats"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from physkin_core.model.skinning import SkinningData
 from physkin_core.native_module import native
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.sway.frame_input import FrameInput
+from physkin_core.runtime.frame_input import FrameInput
 
 __all__ = [
     "NO_FEATURES",

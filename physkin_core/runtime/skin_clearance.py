@@ -21,7 +21,7 @@ from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import drape_poses
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 
 __all__ = ["SkinClearance", "draped_at_rest", "move_clear", "room_to_move"]
 

@@ -14,7 +14,7 @@ from physkin_core import UPRIGHT_GRAVITY
 from physkin_core.loader.asset_loader import LOAD_MEMORY_LIMIT, LOAD_TIMEOUT
 from physkin_core.model.model_file import split_fabric
 from physkin_core.runtime.evaluator import PRECISIONS
-from physkin_core.sway.frame_input import LARGEST_WIND, checked_wind
+from physkin_core.runtime.frame_input import LARGEST_WIND, checked_wind
 from physkin_ros.messages.conversions import gravity_direction
 
 __all__ = [

@@ -11,8 +11,8 @@ from pathlib import Path
 from physkin_core import Draper, load_avatar, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, the_garment
+from physkin_core.runtime.frame_input import checked_sway
 from physkin_core.separation.limb_separator import bind_limbs
-from physkin_core.sway.frame_input import checked_sway
 from physkin_ros.arguments import file_to_write
 from physkin_ros.joints.joint_naming import PRESETS
 from physkin_ros.replay.bags import BagWriter

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from physkin_core.sway.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import LARGEST_EFFECTIVE_GRAVITY, STANDARD_GRAVITY
 from physkin_ros.root.gravity import SAME_CLOCK, EffectiveGravity, gravity_from_imu
 from physkin_ros.root.quaternions import OrientationError, inverse, quaternion_of, rotated, unit_quaternion, vector_of
 

@@ -12,7 +12,7 @@ from time import monotonic_ns
 import numpy as np
 
 from physkin_core import FrameInput
-from physkin_core.sway.frame_input import RootSample, RootTracker, unit_direction
+from physkin_core.runtime.frame_input import RootSample, RootTracker, unit_direction
 from physkin_ros.messages.conversions import gravity_direction
 from physkin_ros.root.gravity import (
     SAME_CLOCK,

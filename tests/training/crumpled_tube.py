@@ -8,12 +8,12 @@ import warp as wp
 from random_models import tube
 
 from physkin_core.model.garment_model import Material
+from physkin_training.contact.wearing import Wearing
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.energies.motion import Dynamics
+from physkin_training.energies.rest_data import RestData
 from physkin_training.energies.seams import Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 
 CPU = torch.device("cpu")
 SAMPLES = 2

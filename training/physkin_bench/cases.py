@@ -22,9 +22,9 @@ from physkin_core.motion.loading import load_motion
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Skinner
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
 from physkin_core.separation.collision_shape import CollisionShape, fit_collision_shape
 from physkin_core.separation.limb_separator import SeparationSettings
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["BenchmarkCase", "SkinningCase", "model_case", "paper_case", "skinning_case"]
 

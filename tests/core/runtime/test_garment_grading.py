@@ -8,7 +8,7 @@ from random_models import tube
 
 from physkin_core import Garment, load_body_model
 from physkin_core.runtime.garment_grading import GarmentGrading
-from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.contact.surface_queries import BodySurface
 
 BODY = load_body_model()
 RNG = np.random.default_rng(0)

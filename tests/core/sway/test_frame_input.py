@@ -6,7 +6,7 @@ from native_frames import told
 from scipy.spatial.transform import Rotation
 
 from physkin_core import FrameInput
-from physkin_core.sway.frame_input import RootTracker
+from physkin_core.runtime.frame_input import RootTracker
 
 DOWN = np.array([0.6, 0.0, -0.8])
 STANDS_ALONE = -2.0

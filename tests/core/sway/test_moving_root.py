@@ -9,7 +9,7 @@ from reference.frame_input import ReferenceFrameInput
 from reference.root_tracker import LARGEST_GAP
 from scipy.spatial.transform import Rotation
 
-from physkin_core.sway.frame_input import FrameInput
+from physkin_core.runtime.frame_input import FrameInput
 
 STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 GRAVITY, MOVES, VELOCITY, TURNING = slice(0, 3), 6, slice(7, 10), slice(10, 13)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import physkin_core as physkin
 from physkin_core.model.sway_network import fold_body
-from physkin_core.sway.frame_input import AIR_DRAG, STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import AIR_DRAG, STANDARD_GRAVITY
 
 STANDING = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from physkin_core.sway.frame_input import AIR_DRAG, LARGEST_WIND, STANDARD_GRAVITY, FrameInput
+from physkin_core.runtime.frame_input import AIR_DRAG, LARGEST_WIND, STANDARD_GRAVITY, FrameInput
 
 WIND, DOWN = np.array([3.0, -2.0, 0.5]), np.array([0.0, 0.0, -1.0])
 STILL = (0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0)

@@ -7,7 +7,7 @@ import pytest
 from root_messages import imu
 from scipy.spatial.transform import Rotation
 
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_ros.root import imu_acceleration
 from physkin_ros.root.imu_acceleration import DELAY, ImuAcceleration
 from physkin_ros.root.quaternions import OrientationError

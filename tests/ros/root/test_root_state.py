@@ -13,7 +13,7 @@ from root_messages import pose as pose_message
 from scipy.spatial.transform import Rotation
 
 from physkin_core import FrameInput, Outfit
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_ros.root.gravity import FRESH, EffectiveGravity
 from physkin_ros.root.quaternions import OrientationError
 from physkin_ros.root.root_state import RootState

@@ -15,10 +15,10 @@ from physkin_core import load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
 from physkin_training.fit_garment.fitting import CLEARANCE, onto_body
 from physkin_training.fit_garment.verdicts import in_lines
-from physkin_training.physics.surface_queries import BodySurface
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])

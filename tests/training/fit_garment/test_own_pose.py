@@ -21,11 +21,11 @@ from physkin_core.avatar.loading import load_avatar
 from physkin_core.cli import main
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, turned_down_the_chain
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment.checks import check_garment
 from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.placement import find_lying
-from physkin_training.physics.surface_queries import BodySurface
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 BODY = load_body_model()

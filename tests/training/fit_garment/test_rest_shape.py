@@ -11,11 +11,11 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.rest_shape import flat_areas, flat_edges, side_lengths
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment.checks import check_garment, write_garment
 from physkin_training.fit_garment.fitting import onto_body
 from physkin_training.fit_garment.rest_shape import check_rest_shape, laid_out
 from physkin_training.fit_garment.verdicts import Checks
-from physkin_training.physics.surface_queries import BodySurface
 
 WIDTH, HEIGHT = 0.6, 0.33
 

@@ -13,8 +13,8 @@ from training.small_runs import small_config
 from physkin_core import load_body_model, load_garment
 from physkin_core.model.garment import face_areas
 from physkin_core.runtime.garment_grading import GarmentGrading
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.train.trainer import Trainer
 
 CPU = torch.device("cpu")

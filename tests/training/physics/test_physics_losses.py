@@ -14,11 +14,11 @@ from random_models import sewn_tube
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material, RestAngles
+from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.band import BAND_SLACK, BAND_STIFFNESS
 from physkin_training.energies.collision import LED_BACK_BEYOND
+from physkin_training.energies.rest_data import RestData
 from physkin_training.physics.physics_losses import PhysicsLosses, lightened
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from training import physics_oracle as oracle
 
 MATERIAL = Material(contact_stiffness=5.0e4, bending=1e-3)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, load_garment
-from physkin_training.physics.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
+from physkin_training.contact.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 BODY = load_body_model()

@@ -13,7 +13,7 @@ from physkin_core import load_body_model
 from physkin_core.model.garment import face_areas
 from physkin_core.model.garment_model import Material
 from physkin_core.quality import edge_strain
-from physkin_training.physics.surface_queries import BodySurface, piercing_edges
+from physkin_training.contact.surface_queries import BodySurface, piercing_edges
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.pattern import PatternError, load_pattern
 from physkin_training.sewing.sew import Arms, _joined, _made, _sewn_together, paper_doll, sewn

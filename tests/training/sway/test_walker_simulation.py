@@ -12,7 +12,7 @@ from training.small_runs import waist_band_model
 
 from physkin_core import Garment
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_training.energies.motion import Dynamics
 from physkin_training.sway import walker_simulation
 from physkin_training.sway.motions import WalkerMotions

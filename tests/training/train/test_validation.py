@@ -11,10 +11,10 @@ from training.small_runs import run, small_config
 
 from physkin_core import load_body_model
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES
+from physkin_training.contact.wearing import Wearing
+from physkin_training.energies.rest_data import RestData
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import PosedBodies
 from physkin_training.train.run import best_model
 from physkin_training.train.trainer import Trainer

@@ -11,12 +11,12 @@ import torch
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.runtime.garment_on_body import checked_fit
+from physkin_training.contact.wearing import Wearing
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.energies.motion import Dynamics
+from physkin_training.energies.rest_data import RestData
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.quiet_warp import wp
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 

@@ -1,14 +1,10 @@
 """The band that holds a garment up: squared distance of its vertices from where they are worn, beyond a slack."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
-
-if TYPE_CHECKING:
-    from physkin_training.physics.wearing import Wearing
 
 __all__ = ["BAND_SLACK", "BAND_STIFFNESS", "Band"]
 

@@ -6,16 +6,13 @@ positive semidefinite.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
-
-if TYPE_CHECKING:
-    from physkin_training.physics.wearing import Wearing
 
 __all__ = ["LED_BACK_BEYOND", "Collision"]
 

@@ -12,17 +12,15 @@ shapes. Metres, root frame.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
+from physkin_training.energies.rest_data import RestData
 from physkin_training.quiet_warp import wp
-
-if TYPE_CHECKING:
-    from physkin_training.physics.rest_data import RestData
 
 __all__ = ["Blocks", "Cloth", "Drapes", "Energy", "Rest", "view"]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import torch
 
-from physkin_core.sway.frame_input import AIR_DRAG, STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import AIR_DRAG, STANDARD_GRAVITY
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, view
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp

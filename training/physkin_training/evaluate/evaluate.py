@@ -21,8 +21,10 @@ from physkin_core.model.surface_paths import hem_distances
 from physkin_core.motion.motion import Motion
 from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_core.runtime.garment_on_body import checked_fit
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_training.contact.wearing import Wearing
+from physkin_training.energies.rest_data import RestData
 from physkin_training.evaluate.figures import Figures
 from physkin_training.evaluate.minimum import subspace_minimum
 from physkin_training.networks.draping import Drape, RestShape, compose_nodes, delta_transforms
@@ -31,8 +33,6 @@ from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import Energies, PhysicsLosses
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 

@@ -11,8 +11,8 @@ import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.quality import CLOSE, SNAP
+from physkin_training.energies.rest_data import RestData
 from physkin_training.physics.physics_losses import Energies
-from physkin_training.physics.rest_data import RestData
 
 __all__ = ["Figures"]
 

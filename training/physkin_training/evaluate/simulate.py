@@ -29,13 +29,13 @@ from physkin_core.outfit.outfit_options import add_avatar_options, print_warning
 from physkin_core.progress import progress_line
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
+from physkin_training.contact.wearing import Wearing
 from physkin_training.devices import DEFAULT_DEVICE, DEVICE_HELP, resolve_device
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.posed_bodies import posed_avatar
 
 __all__ = ["DrapeSimulation", "command_parser", "main"]

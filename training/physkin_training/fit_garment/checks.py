@@ -16,11 +16,11 @@ from physkin_core.avatar.avatar import Avatar
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import MeshFile, write_obj
 from physkin_core.model.garment import Garment, garment_of_mesh
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
 from physkin_training.fit_garment.verdicts import Checks, Verdict
-from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = ["CheckedGarment", "check_garment", "write_garment"]
 

@@ -14,9 +14,9 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
 from physkin_core.model.garment_nodes import node_positions_on_body
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.sampling.posed_bodies import posed_avatar
 
 __all__ = ["CLEARANCE", "clear_of", "onto_body"]

@@ -10,9 +10,9 @@ import trimesh
 
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import mesh_edges, openings
+from physkin_training.contact.surface_queries import BodySurface, layers_near, piercing_edges
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.verdicts import Checks
-from physkin_training.physics.surface_queries import BodySurface, layers_near, piercing_edges
 
 __all__ = [
     "check_duplicates",

@@ -20,7 +20,7 @@ from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
-from physkin_training.physics.surface_queries import BodySurface
+from physkin_training.contact.surface_queries import BodySurface
 
 __all__ = ["OwnPose"]
 

@@ -14,8 +14,8 @@ from functools import reduce
 import numpy as np
 from scipy.spatial import cKDTree
 
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment.own_pose import OwnPose
-from physkin_training.physics.surface_queries import BodySurface
 
 __all__ = [
     "MOST_BURIED", "MOST_COST", "UNITS", "WORN", "Placement", "best_scale", "buried", "turned_over", "find_lying",

@@ -11,6 +11,8 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment
+from physkin_training.contact.surface_queries import BodySurface
+from physkin_training.contact.wearing import holding_rim
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.fitting import CLEARANCE, clear_of, onto_body
 from physkin_training.fit_garment.mesh_checks import openings_and_holes
@@ -27,8 +29,6 @@ from physkin_training.fit_garment.placement import (
     turned_over,
 )
 from physkin_training.fit_garment.verdicts import Checks, Verdict
-from physkin_training.physics.surface_queries import BodySurface
-from physkin_training.physics.wearing import holding_rim
 
 __all__ = [
     "check_body",

@@ -1,1 +1,1 @@
-"""Physics around the energies: rest shapes, contact with bodies, the losses of training and the minimisers."""
+"""Physics around the energies: the losses of training, and the minimisers."""

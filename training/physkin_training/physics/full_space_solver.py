@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import torch
 
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.physics.newton_solver import LARGEST_STEP, NewtonSolver, Point, Solution, inner, norm
 from physkin_training.physics.physics_losses import PhysicsLosses

@@ -15,14 +15,14 @@ import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
+from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.band import Band
 from physkin_training.energies.bend import Bend
 from physkin_training.energies.collision import Collision
 from physkin_training.energies.energy import Cloth, Drapes, Energy, view
 from physkin_training.energies.gravity import Gravity
+from physkin_training.energies.rest_data import RestData
 from physkin_training.energies.stretch import Stretch
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.quiet_warp import wp
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]

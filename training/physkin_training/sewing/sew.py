@@ -24,14 +24,14 @@ from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import Material
 from physkin_core.model.rest_shape import flat_areas
 from physkin_core.rig.rig import Rig
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
+from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.energy import view
 from physkin_training.energies.motion import Dynamics
 from physkin_training.energies.seams import Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
-from physkin_training.physics.surface_queries import BodySurface
 from physkin_training.quiet_warp import wp
 from physkin_training.sewing.cut import Cut
 from physkin_training.sewing.pattern import PatternError

@@ -18,7 +18,7 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
-from physkin_core.sway.frame_input import UPRIGHT_GRAVITY
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_training.dynamics.dressed_samples import DressedSamples
 from physkin_training.dynamics.dynamic_simulation import A_LONG_TIME, LARGEST_EXTENT
 from physkin_training.dynamics.incremental_potential import IncrementalPotential

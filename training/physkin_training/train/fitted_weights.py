@@ -16,12 +16,12 @@ import torch
 
 from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
+from physkin_training.contact.wearing import Wearing
+from physkin_training.energies.rest_data import RestData
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.export import drape_from_model, encode_bodies
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.physics_losses import PhysicsLosses
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 from physkin_training.soap import Soap

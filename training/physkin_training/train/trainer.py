@@ -23,12 +23,12 @@ from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
+from physkin_training.contact.wearing import Wearing
+from physkin_training.energies.rest_data import RestData
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.recorded_step import RecordedStep
 from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler

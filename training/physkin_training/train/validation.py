@@ -19,11 +19,11 @@ from physkin_core.model.garment import Garment
 from physkin_core.model.hyper_modulator import POINT_COUNT
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_training.config import TrainingConfig
+from physkin_training.contact.wearing import Wearing
+from physkin_training.energies.rest_data import RestData
 from physkin_training.networks.draping import Drape
 from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.physics_losses import PhysicsLosses, lightened
-from physkin_training.physics.rest_data import RestData
-from physkin_training.physics.wearing import Wearing
 from physkin_training.sampling.pose_sampling import PoseSampler
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 

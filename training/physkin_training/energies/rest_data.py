@@ -10,7 +10,7 @@ import torch
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
-from physkin_core.sway.frame_input import STANDARD_GRAVITY
+from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 
 __all__ = ["RestData", "face_rest_inverse", "hinge_rest"]
 

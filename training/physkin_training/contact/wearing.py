@@ -16,7 +16,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
-from physkin_training.physics.surface_queries import FARTHEST, BodySurface, covering_faces
+from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
 
 __all__ = ["Wearing", "holding_rim"]
 
