@@ -119,11 +119,15 @@ $(VENV)/installed-view: $(BUILT_FROM) | $(VENV)/bin/python
 	@$(PIP_TELLING) --editable ".[view]"
 	touch $@
 
-# The message package is built beside the installation. torch goes first and alone, so that the build the user's pip is
-# set up for (CPU or CUDA) is the one the rest meets.
+# The evaluator is compiled, and the message package built, while the other packages are fetched. torch goes first and
+# alone, so that the build the user's pip is set up for (CPU or CUDA) is the one the rest meets.
+TEST_EXTRAS := completion compressed docs ros replay training usd view test
+REQUIREMENTS := import sys, tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	print(*project["dependencies"], *(each for extra in sys.argv[1:] for each in project["optional-dependencies"][extra]), sep="\n")
 $(VENV)/installed-test: $(BUILT_FROM) $(MESSAGES) | $(VENV)/bin/python
-	$(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
-	$(PIP) torch && $(PIP) --editable ".[completion,compressed,docs,ros,replay,training,usd,view,test]" && wait $$messages
+	$(VENV)/bin/python -c '$(REQUIREMENTS)' $(TEST_EXTRAS) > $(VENV)/requirements.txt
+	$(PIP) --no-deps --editable . & evaluator=$$!; $(VENV)/bin/python msg_defs/wheel/build.py & messages=$$!; \
+	$(PIP) torch && $(PIP) --requirement $(VENV)/requirements.txt && wait $$evaluator && wait $$messages
 	$(VENV)/bin/python msg_defs/wheel/build.py --install
 	touch $@ $(VENV)/installed-demo $(VENV)/installed-view $(VENV)/installed-docs $(VENV)/installed-lint
 

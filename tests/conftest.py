@@ -31,12 +31,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
 
 NEEDED = ("torch", "warp", "pydantic", "potpourri3d")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
-collect_ignore = ["training", "studies"] if MISSING else []
+collect_ignore = ["training"] if MISSING else []
 
 
 def pytest_report_header() -> str | None:
     """Says what is left out where the [training] extra is not installed."""
-    return f"left out: tests of training and studies, which need {', '.join(MISSING)}" if MISSING else None
+    return f"left out: tests of training, which need {', '.join(MISSING)}" if MISSING else None
 
 
 @pytest.fixture
