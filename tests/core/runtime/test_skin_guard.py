@@ -82,7 +82,7 @@ def inside(draper: Draper, motion: np.ndarray, cloth: np.ndarray, legs: np.ndarr
 def test_legs_that_march_stay_under_the_skirt(skirt):
     """With sway that has not seen the motion: none inside where without the guard there are many; cloth strains hardly
     more, as most of what it lacks is sway that it gives up."""
-    rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
+    rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 16)
     thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
     guarded, free = (
@@ -99,7 +99,7 @@ def test_legs_stay_in_trousers_that_sway():
     """Shipped ones, each leg round its own: a twentieth of what comes through without the guard."""
     trousers = on_the_avatar(load_garment_model("widetrousers"))
     rig = trousers.layer.model.rig
-    motion = march(rig, 36)
+    motion = march(rig, 16)
     legs = np.isin(trousers.avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if "leg" in name])
     seen, without = (
         inside(trousers, motion, walked(trousers, bound, motion), legs)
