@@ -226,7 +226,7 @@ def test_the_picture_shows_the_avatar_in_its_own_colours(tmp_path, monkeypatch):
     """Four poses from two sides; trousers as blue as in its file, hair as brown, and the new T-shirt over them."""
     monkeypatch.setattr(check, "PICTURE_SIZE", (78, 132))
     monkeypatch.setattr(check, "check_garment", lambda *_, **__: GOOD)
-    write_glb(tmp_path / "me.glb", dressed_document(sleeves="short"))
+    write_glb(tmp_path / "me.glb", dressed_document(sleeves="short", skin_beneath=True))
     picture = tmp_path / "check.png"
     cli.main(["check", str(tmp_path / "me.glb"), "-g", "tshirt", "-o", str(picture)])
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
