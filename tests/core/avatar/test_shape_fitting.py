@@ -17,7 +17,7 @@ BODY = load_body_model()
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 
 
-@pytest.mark.parametrize("body", [0, 12, 60])
+@pytest.mark.parametrize("body", [12, *(pytest.param(body, marks=pytest.mark.slow) for body in (0, 60))])
 def test_the_graded_garment_is_that_of_exact_correspondence(body):
     """Within 5 mm at every vertex of the dress and 2 mm on average, where bodies differ by centimetres."""
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[body])
@@ -52,7 +52,7 @@ def test_a_body_with_the_body_models_own_faces_is_found_exactly():
     assert np.linalg.norm(laid.missing, axis=1).max() < 1e-4 and np.linalg.norm(laid.place) < 1e-4
 
 
-@pytest.mark.parametrize("body", [3, 11])
+@pytest.mark.parametrize("body", [3, pytest.param(11, marks=pytest.mark.slow)])
 def test_pivots_elsewhere_in_the_flesh_do_not_move_the_surface(body):
     """Bones 2 to 6 cm astray, and the body is that of its skin, to half a millimetre on average."""
     avatar = remeshed(avatar_from_body(BODY, BODY.held_out_bodies[body]), body)

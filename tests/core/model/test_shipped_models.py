@@ -17,6 +17,7 @@ GARMENTS = (
     *("tshirt", "longsleeve", "tanktop", "turtleneck", "hoodie", "trousers", "widetrousers"),
     *("shorts", "skirt", "circleskirt", "pencilskirt", "dress", "maxidress", "jumpsuit"),
 )
+OF_EACH_KIND = ("tshirt", "trousers", "circleskirt")
 MESHES = Path(__file__).parents[3] / "training" / "garments"
 
 
@@ -53,7 +54,9 @@ def test_scores_are_in_the_file(name, shipped):
             assert 0 < rows["model"][figure] < share * rows["skinning"][figure], figure
 
 
-@pytest.mark.parametrize("name", GARMENTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in OF_EACH_KIND else pytest.mark.slow) for name in GARMENTS]
+)
 def test_drapes_are_like_the_scores(name, shipped):
     """Twelve poses on three held-out bodies, in one size: less strain than plain skinning, near the stored mean, and on
     the body. Scores are of the networks alone; here legs and hands are kept out of skirts, too."""

@@ -1,12 +1,10 @@
 """Figures of the documents that the shipped models' files hold: what is written is what is stored, rounded."""
 
 import re
-from functools import cache
 from pathlib import Path
 
 import pytest
 
-from physkin_core import load_garment_model
 from physkin_core.model.model_file import shipped_models
 
 ROOT = Path(__file__).parents[3]
@@ -29,20 +27,17 @@ def strains(scores):
     return [STRAIN.format(**rows) for rows in (scores["made_to_measure"]["model"], scores["model"], scores["skinning"])]
 
 
-model = cache(load_garment_model)
-
-
 def names_described():
     """Of the shipped garments, each in backquotes."""
     return [name for name, *_ in tables(PAGE)[0]]
 
 
 @pytest.mark.parametrize(("everyday", "formats"), [(True, EVERYDAY), (False, UNIFORM)], ids=["everyday", "uniform"])
-def test_tables_of_shipped_garments(everyday, formats):
+def test_tables_of_shipped_garments(everyday, formats, shipped):
     """Every cell of every garment in the notebook."""
     wanted = []
     for name in names_described():
-        scores = model(name.strip("`")).scores
+        scores = shipped(name.strip("`")).scores
         if everyday:
             of_motion = {"made_to_measure": scores["made_to_measure"]["motion"]}
             scores = scores["motion"] | of_motion
@@ -52,21 +47,21 @@ def test_tables_of_shipped_garments(everyday, formats):
     assert tables(NOTEBOOK)[0 if everyday else 1] == wanted
 
 
-def test_every_shipped_garment_is_described():
+def test_every_shipped_garment_is_described(shipped):
     """With its number of vertices."""
     rows = tables(PAGE)[0]
     described = {name.strip("`"): vertices for name, *_, vertices in rows}
-    assert described == {name: f"{len(model(name).garment.vertices):,}" for name in shipped_models()}
+    assert described == {name: f"{len(shipped(name).garment.vertices):,}" for name in shipped_models()}
 
 
-def test_table_of_the_readme():
+def test_table_of_the_readme(shipped):
     """Strain in everyday motion, made to measure and in one size, and in any pose in one size, with plain skinning."""
     rows = next(table for table in tables(ROOT / "README.md") if "vertices" in table[0][0])
     assert len(rows) >= 5
     for name, *cells in rows:
-        scores = model(re.search("`(.+)`", name)[1])
-        assert f"{len(scores.garment.vertices):,}" in name
-        scores = scores.scores
+        model = shipped(re.search("`(.+)`", name)[1])
+        assert f"{len(model.garment.vertices):,}" in name
+        scores = model.scores
         figures = scores["made_to_measure"]["motion"], scores["motion"], scores
         wanted = [each["model"] for each in figures] + [scores["skinning"]]
         assert cells == ["{edge_strain_percent:.1f} / {area_strain_percent:.1f}".format(**each) for each in wanted], (

@@ -65,12 +65,12 @@ def test_trousers_no_longer_stand_out_of_a_shirt(worn, motion, over_trousers):
     layer = bare[1].layers[0]
     deep = layer.hem_distance > 0.03
     without, outfit = 0, 0
-    for frame in range(0, len(motion[0]), 5):
+    for frame in range(0, len(motion[0]), 15):
         trousers, shirt = (outfit.drape(motion[0][frame], motion[1][frame])[0][:, :3] for outfit in bare)
         without += stands_out(trousers, shirt, layer.faces, deep)
         trousers, shirt = over_trousers.drape(motion[0][frame], motion[1][frame])
         outfit += stands_out(trousers[:, :3], shirt[:, :3], over_trousers.layers[1].faces, deep)
-    assert without > 500
+    assert without > 170  # more than fifteen a frame
     assert outfit < 0.02 * without
 
 
@@ -176,11 +176,10 @@ def depth_below_waistband(alone, over):
     return tucked_depths((alone.rest[:, :3], over.rest[:, :3]), (alone.faces, over.bound.faces))
 
 
-def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(worn, motion):
+def test_a_tucked_hem_is_inside_the_waistband_in_every_frame(worn, tucked, motion):
     """All of the shirt that is given well below the waistband is inside the trousers, and would not be by itself, but
     for a few vertices near the waistband, which a raised arm pulls out; the deepest of it is not given."""
-    tucked = worn("longsleeve", "trousers", tucked="longsleeve")
-    alone, (shirt_layer, trousers_layer) = worn("longsleeve"), tucked.layers
+    alone, (shirt_layer, trousers_layer) = worn("tshirt"), tucked.layers
     depth = depth_below_waistband(alone.layers[0], trousers_layer)
     below = np.flatnonzero(depth[shirt_layer.visible] > 0.01)
     assert 0 < len(below) < (depth > 0.01).sum()

@@ -1,6 +1,7 @@
 """Cloth that hangs free stays out of legs and trunk, and gives way to hands; nothing else is touched."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,9 +23,12 @@ SWINGS = 0.2
 """By how much of what a random sway network gives cloth swings here."""
 
 
+model_of = cache(load_garment_model)
+
+
 def swinging(name, swings=SWINGS):
     """A shipped garment that sways by a network which knows nothing of legs, by such a share of what it gives."""
-    model = load_garment_model(name)
+    model = model_of(name)
     modulation = 2 * sum(len(bias) for _, bias in model.pose_modulator[:-1])
     sizes = len(model.rig.dofs), len(model.node_rest)
     sway = random_sway_network(np.random.default_rng(1), *sizes, modulation=modulation, offset=0.02)
@@ -33,15 +37,20 @@ def swinging(name, swings=SWINGS):
 
 def hanging_still(name):
     """A shipped garment whose cloth hangs from the root, whatever the legs do."""
-    model = load_garment_model(name)
+    model = model_of(name)
     weight, bias = model.node_deformer[-1]
     at_root = np.full_like(model.node_bone, model.rig.bone_names.index("root"))
     deformer = (*model.node_deformer[:-1], (0 * weight, 0 * bias))
     return replace(model, detail=None, sway=None, node_bone=at_root, node_deformer=deformer)
 
 
+@cache
+def bundled_avatar():
+    return load_avatar(BUNDLED_AVATAR, model_of("skirt").rig)
+
+
 def on_the_avatar(model):
-    return Draper(model, load_avatar(BUNDLED_AVATAR, model.rig))
+    return Draper(model, bundled_avatar())
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +91,7 @@ def inside(draper: Draper, motion: np.ndarray, cloth: np.ndarray, legs: np.ndarr
 def test_legs_that_march_stay_under_the_skirt(skirt):
     """With sway that has not seen the motion: none inside where without the guard there are many; cloth strains hardly
     more, as most of what it lacks is sway that it gives up."""
-    rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 36)
+    rig, motion = skirt.layer.model.rig, march(skirt.layer.model.rig, 16)
     thighs = [k for k, name in enumerate(rig.bone_names) if "leg" in name]
     legs = np.isin(skirt.avatar.influence_bones[:, 0], thighs)
     guarded, free = (
@@ -97,9 +106,9 @@ def test_legs_that_march_stay_under_the_skirt(skirt):
 
 def test_legs_stay_in_trousers_that_sway():
     """Shipped ones, each leg round its own: a twentieth of what comes through without the guard."""
-    trousers = on_the_avatar(load_garment_model("widetrousers"))
+    trousers = on_the_avatar(model_of("widetrousers"))
     rig = trousers.layer.model.rig
-    motion = march(rig, 36)
+    motion = march(rig, 16)
     legs = np.isin(trousers.avatar.influence_bones[:, 0], [k for k, name in enumerate(rig.bone_names) if "leg" in name])
     seen, without = (
         inside(trousers, motion, walked(trousers, bound, motion), legs)
@@ -150,13 +159,13 @@ def blown(name, by):
     return replace(model, sway=replace(model.sway, out=(model.sway.out[0], bias)))
 
 
-@pytest.mark.parametrize("by", [-0.2, 0.2])
+@pytest.mark.parametrize("by", [-0.2, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_cloth_that_is_blown_at_legs_does_not_go_through_them(by):
     """What hangs before a shin stays before it, where sway alone would take much of it to the other side."""
     skirt = on_the_avatar(blown("skirt", (by, 0.0, 0.0)))
     rig, bound = skirt.layer.model.rig, skirt.layer.bound_visible
     rest, knees = np.tile(rig.rest, (2, 1)), [rig.bone_names.index(f"lowerleg01.{side}") for side in "LR"]
-    hung = on_the_avatar(replace(load_garment_model("skirt"), sway=None)).drape(rig.rest)[:, :3]
+    hung = on_the_avatar(replace(model_of("skirt"), sway=None)).drape(rig.rest)[:, :3]
     heads = skirt.avatar.bone_heads[knees]
     near = np.abs(hung[:, None, 1:] - heads[None, :, 1:]).max(axis=2).min(axis=1) < 0.02
     side = np.sign(hung[near, 0] - heads[:, 0].mean())
@@ -169,12 +178,12 @@ def test_cloth_that_is_blown_at_legs_does_not_go_through_them(by):
     assert guarded == 0
 
 
-@pytest.mark.parametrize("sways", [0, SWINGS, 1.0])
-@pytest.mark.parametrize("name", ["skirt", "pencilskirt", "widetrousers"])
+@pytest.mark.parametrize("sways", [0, pytest.param(SWINGS, marks=pytest.mark.slow), 1.0])
+@pytest.mark.parametrize("name", ["skirt", pytest.param("pencilskirt", marks=pytest.mark.slow), "widetrousers"])
 def test_what_hangs_is_guarded_as_the_reference_does(name, sways):
     """In strides of a body that leans back or forward, so that cloth falls on its legs, or sways into them."""
-    model = swinging(name, sways) if sways else load_garment_model(name)
-    bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
+    model = swinging(name, sways) if sways else model_of(name)
+    bound = on_the_avatar(model).layer.bound
     reference, native, free = ReferenceFrame([bound]), NativeFrame([bound]), NativeFrame([bound.unguarded])
     told_of_time = {"sway": 1.0, "elapsed": 1 / RATE, "moves": 1.0} if sways else {}
     moved = 0.0
@@ -199,7 +208,7 @@ def reached(rig, frames: int, back: float = 0.4) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def circleskirt():
-    return on_the_avatar(replace(load_garment_model("circleskirt"), sway=None))
+    return on_the_avatar(replace(model_of("circleskirt"), sway=None))
 
 
 def test_a_hand_presses_the_cloth_in(circleskirt):
@@ -234,10 +243,9 @@ def test_cloth_is_dented_as_the_reference_does(circleskirt):
     assert dented > 0.01
 
 
-@pytest.mark.parametrize("name", ["tanktop", "longsleeve", "trousers"])
-def test_what_neither_hangs_nor_sways_costs_nothing(name):
-    model = load_garment_model(name)
-    bound = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig)).layer.bound
+@pytest.mark.parametrize("name", ["longsleeve", "trousers"])
+def test_what_neither_hangs_nor_sways_costs_nothing(name, worn):
+    bound = worn(name).layers[0].bound
     assert len(bound.guard_vertices) == 0 and len(bound.skin_frames) == 0
 
 
@@ -271,7 +279,7 @@ def test_heels_do_not_stand_out_of_the_fitted_skin(skirt):
 
 
 def test_samples_are_closer_together_where_heels_are():
-    at = on_the_avatar(load_garment_model("maxidress")).layer.bound.guard_vertices
+    at = on_the_avatar(model_of("maxidress")).layer.bound.guard_vertices
     height = at[:, 2]
     apart = np.sort(np.linalg.norm(at[:, None] - at, axis=2), axis=1)[:, 1]
     low, shins = height < -0.75, (height > -0.55) & (height < -0.3)

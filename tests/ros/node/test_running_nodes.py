@@ -19,11 +19,9 @@ pytest.importorskip("rclpy", reason="needs rclpy: pip install 'physkin[ros]'")
 
 from builtin_interfaces.msg import Time  # noqa: E402
 from core.points.splat_files import splat_ply  # noqa: E402
-from drape_site import scaled_body  # noqa: E402
 from geometry_msgs.msg import Quaternion, TransformStamped  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
@@ -98,56 +96,13 @@ def test_precision_and_marker(peer, running_node, model_path, draper):
     assert len(markers[0].points) == draper.faces.size and markers[0].header.stamp.nanosec == 4
 
 
-def test_made_to_measure(peer, running_node, model_path, tmp_path):
-    """By default; another body has another rest shape, which readers of garment nodes are told."""
-    GarmentClient = pytest.importorskip("physkin_ros.client", reason="needs physkin_msgs").GarmentClient
-    model, other, skinned = load_garment_model(model_path), tmp_path / "other.glb", []
-    other.write_bytes(scaled_body(1.1))
-    names, pose = model.rig.joint_names, model.rig.rest.astype(np.float32)
-    client = GarmentClient(peer.node, lambda frame: skinned.append(frame.points.copy()))
-
-    def wears(body, fit: float) -> bool:
-        """Whether the next joint state is answered with the garment on this body, garment nodes as the cloud."""
-        expected = Draper(model, load_avatar(body, model.rig), fit=fit).drape(pose)
-        skinned.clear()
-        cloud = peer.cloud(names, pose, next(STAMPS))
-        peer.spin(0.1)
-        return np.array_equal(cloud, expected) and len(skinned) == 1 and np.array_equal(skinned[0], expected)
-
-    parameters = {"model": str(model_path), "asset_roots": [str(tmp_path)]}
-    with running_node(parameters) as node:
-        assert node.get_parameter("fit").value == ""
-        peer.until(lambda: wears(BUNDLED_AVATAR, 1.0), "the garment on the first body")
-        (result,) = node.set_parameters([Parameter("body_mesh", value=str(other))])
-        assert result.successful, result.reason
-        peer.until(lambda: wears(other, 1.0), "the garment on the other body")
-        peer.until_told("fit", "1")
-    with running_node(parameters | {"fit": 0.0}):
-        peer.until(lambda: wears(BUNDLED_AVATAR, 0.0), "the garment in one size")
-        peer.reports.clear()
+def test_one_size(peer, running_node, model_path):
+    """Where it is asked for; that cloth is made to measure, all others drape."""
+    model = load_garment_model(model_path)
+    draper, rest = Draper(model, load_avatar(BUNDLED_AVATAR, model.rig), fit=0.0), model.rig.rest.astype(np.float32)
+    with running_node({"model": str(model_path), "fit": 0.0}):
+        np.testing.assert_array_equal(peer.cloud(draper.joint_names, rest, next(STAMPS)), draper.drape(rest))
         peer.until_told("fit", "0")
-    for subscription in client._subscriptions:
-        peer.node.destroy_subscription(subscription)
-
-
-def test_clouds_at_a_rate_of_their_own(peer, running_node, model_path, draper):
-    """Between two joint states clouds come with stamps between theirs, poses on the way, and end at the second."""
-    names, rest = draper.joint_names, draper.model.rig.rest.astype(np.float32)
-    bent = rest.copy()
-    bent[:2] += 0.2
-    with running_node({"model": str(model_path), "cloud_rate": 200.0}):
-        peer.send(names, rest, (10, 0))
-        peer.spin(0.2)
-        peer.send(names, bent, (11, 0))
-        peer.until(lambda: (11, 0) in peer.clouds, "last cloud")
-        peer.spin(0.2)
-    stamps = sorted(peer.clouds)
-    assert stamps[0] == (10, 0) and stamps[-1] == (11, 0) and len(stamps) > 2  # 40 where the machine is idle
-    np.testing.assert_array_equal(peer.clouds[10, 0], draper.drape(rest))
-    np.testing.assert_array_equal(peer.clouds[11, 0], draper.drape(bent))
-    between = stamps[len(stamps) // 2]
-    share = between[1] / 1e9
-    np.testing.assert_allclose(peer.clouds[between], draper.drape(rest + share * (bent - rest)), atol=1e-4)
 
 
 def test_gravity_by_an_imu(peer, running_node, leaning_model_path, leaning_draper):
@@ -170,34 +125,24 @@ def test_gravity_by_an_imu(peer, running_node, leaning_model_path, leaning_drape
         peer.node.destroy_publisher(publisher)
 
 
-@pytest.mark.parametrize("orientation", ["odometry", "tf"])
-def test_where_the_root_is(peer, running_node, leaning_model_path, leaning_draper, orientation):
-    """A bad message is told and leaves the last good one."""
+def test_tf_says_where_the_root_is(peer, running_node, leaning_model_path, leaning_draper):
+    """A bad message is told and leaves the last good one. By odometry: test_many_avatars.py."""
     messages = pytest.importorskip("tf2_msgs.msg", reason="needs tf2_msgs: python msg_defs/wheel/build.py --install")
     names, rest = list(leaning_draper.joint_names), leaning_draper.model.rig.rest
-    by_odometry = orientation == "odometry"
-    parameters = {"orientation": orientation, "frame_id": "hips", "world_frame": "map"}
+    parameters = {"orientation": "tf", "frame_id": "hips", "world_frame": "map"}
     with running_node({"model": str(leaning_model_path)} | parameters, gravity=False):
-        kind, topic = (Odometry, "odometry") if by_odometry else (messages.TFMessage, "/tf")
-        publisher = peer.node.create_publisher(kind, topic, 10)
+        publisher = peer.node.create_publisher(messages.TFMessage, "/tf", 10)
 
         def send(half: float, sec: int) -> None:
-            turn = Quaternion(y=np.sin(half), w=np.cos(half))
-            header = Header(stamp=Time(sec=sec), frame_id="map")
-            if by_odometry:
-                message = Odometry(header=header)
-                message.pose.pose.position.x, message.pose.pose.orientation = 2.5, turn
-            else:
-                message = TransformStamped(header=header, child_frame_id="hips")
-                message.transform.translation.x, message.transform.rotation = 2.5, turn
-                message = messages.TFMessage(transforms=[message])
-            publisher.publish(message)
+            message = TransformStamped(header=Header(stamp=Time(sec=sec), frame_id="map"), child_frame_id="hips")
+            message.transform.translation.x = 2.5
+            message.transform.rotation = Quaternion(y=np.sin(half), w=np.cos(half))
+            publisher.publish(messages.TFMessage(transforms=[message]))
             peer.spin(0.2)
 
         peer.until(publisher.get_subscription_count, "subscription")
-        if not by_odometry:
-            peer.cloud(names, rest, (1, 0))
-            peer.until_told("last rejection", "no transform from 'map' to 'hips'")
+        peer.cloud(names, rest, (1, 0))
+        peer.until_told("last rejection", "no transform from 'map' to 'hips'")
         send(0.3, 2)
         tilted = np.array([np.sin(0.6), 0.0, -np.cos(0.6)])
         for sec in (2, 3):

@@ -23,21 +23,6 @@ def environment():
         yield
 
 
-@pytest.mark.slow
-def test_demo_ends_well(start, leaning_model_path, tmp_path):
-    """Every joint state comes back as a cloud; figures and picture are there."""
-    pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")
-    picture = tmp_path / "demo.png"
-    arguments = ("--seconds", "2", "--garment", str(leaning_model_path), "--output", str(picture), "--motion", "crawl")
-    demo = start("physkin_core.cli", "demo", *arguments)
-    output, _ = demo.communicate(timeout=180)
-    assert demo.returncode == 0, output
-    table = _table(output)
-    assert (table["joint states sent"], table["clouds received"]) == ("120", "120 of 120")
-    assert table["clouds lost"] == table["clouds with values not finite"] == "0"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-
-
 def test_the_demo_of_the_readme_ends_well(tmp_path, monkeypatch, capfd):
     """What it wears unless told otherwise, for three seconds, with a small picture."""
     pytest.importorskip("mitsuba", reason="needs mitsuba: pip install 'physkin[view]'")

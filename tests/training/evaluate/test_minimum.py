@@ -64,6 +64,7 @@ def test_subspace_finds_a_drape_that_the_nodes_can_reach(detailed, monkeypatch):
     assert not start.any(), "the start is left alone"
 
 
+@pytest.mark.slow
 def test_minima_on_a_clothed_body_are_in_order(monkeypatch):
     """The model's energy is above the subspace minimum's, and that above the full-space minimum's; gravity included."""
     monkeypatch.setattr(minimum, "STEPS", 100)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from random_models import tube
 
-from physkin_core import Garment, load_garment_model
+from physkin_core import Garment
 from physkin_core.model.model_file import shipped_models
 from physkin_training.config import DetailConfig
 from physkin_training.fit_garment.first_model import chosen_start
@@ -17,9 +17,9 @@ from physkin_training.fit_garment.recipe import default_recipe, has_sizes_of, st
 
 
 @pytest.fixture(scope="module")
-def cropped():
+def cropped(shipped):
     """The T-shirt without the lowest part of its trunk, 1 cm wider."""
-    garment = load_garment_model("tshirt").garment
+    garment = shipped("tshirt").garment
     shorter = garment.submesh(garment.vertices[garment.faces][:, :, 2].mean(axis=1) > 0.05)
     return Garment(shorter.vertices * [1.05, 1.03, 1], shorter.faces)
 
@@ -52,12 +52,12 @@ def test_a_cape_is_far_from_all():
 
 
 @pytest.mark.parametrize("kind", ["cpu", "cuda"])
-def test_the_default_recipe_can_begin_with_every_shipped_garment(kind, tmp_path):
+def test_the_default_recipe_can_begin_with_every_shipped_garment(kind, tmp_path, shipped):
     """Which have one size of networks; a recipe of other sizes cannot."""
     recipe = default_recipe("own", tmp_path / "own.obj", torch.device(kind))
     hurried = default_recipe("own", tmp_path / "own.obj", torch.device(kind), seconds=120)
     assert (recipe.train_bodies, hurried.train_bodies) == {"cpu": (64, 64), "cuda": (512, 128)}[kind]
-    models = [load_garment_model(name) for name in shipped_models()]
+    models = [shipped(name) for name in shipped_models()]
     assert all(has_sizes_of(recipe, model) for model in models)
     assert not has_sizes_of(replace(recipe, detail=DetailConfig()), models[0])
     begun = started_from(recipe, tmp_path / "start.safetensors")

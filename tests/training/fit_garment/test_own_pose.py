@@ -194,7 +194,10 @@ def a_patch_gone(v, f):
     return v, f[away > np.quantile(away, 0.1)]
 
 
-@pytest.mark.parametrize("name", ["tshirt", "dress", "trousers", "skirt", "circleskirt"])
+LIKE_OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("dress", "trousers", "circleskirt")]
+
+
+@pytest.mark.parametrize("name", ["tshirt", "skirt", *LIKE_OTHERS])
 def test_upside_down_is_refused(name, template):
     """Where it is put on all the same, as without an avatar."""
     garment = load_garment(GARMENTS / f"{name}.obj")

@@ -10,7 +10,6 @@ import pytest
 import torch
 from training.small_runs import simulate_walkers_quickly, waist_band_model
 
-from physkin_core.model.model_file import load_garment_model
 from physkin_training.fit_garment import recipe
 from physkin_training.sway import walkers
 from physkin_training.sway.command import LearntSway, SwayPlan
@@ -26,9 +25,9 @@ def quick(monkeypatch):
     simulate_walkers_quickly(monkeypatch)
 
 
-def test_who_learns_it():
+def test_who_learns_it(shipped):
     """On a GPU, in a quarter of an hour, who does not begin with a network and has cloth where it sways."""
-    band, skirt, tank_top = waist_band_model(), load_garment_model("skirt"), load_garment_model("tanktop")
+    band, skirt, tank_top = waist_band_model(), shipped("skirt"), shipped("tanktop")
     arm = band.rig.bone_names.index("upperarm01.L")
     glove = replace(band, node_bone=np.full_like(band.node_bone, arm))
     for start, model, device, seconds, learns in (
@@ -82,8 +81,8 @@ def test_a_failure_leaves_the_trained_model(error, monkeypatch):
     assert same is model and str(error) in said
 
 
-def test_figures_that_are_none_are_no_gain(monkeypatch):
-    model, sway = waist_band_model(), load_garment_model("skirt").sway
+def test_figures_that_are_none_are_no_gain(monkeypatch, shipped):
+    model, sway = waist_band_model(), shipped("skirt").sway
     monkeypatch.setattr(recipe, "rounded_sway", lambda *_: None)
     monkeypatch.setattr(recipe, "learn_sway", lambda *_, **__: LearntSway(sway, np.nan, np.nan))
     same, said = recipe.with_own_sway(model, CPU, within=np.inf)
