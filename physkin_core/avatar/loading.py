@@ -56,8 +56,9 @@ def _load(path: Path, rig: Rig, rig_file: str | Path | None) -> Avatar:
     if suffix not in GLTF_SUFFIXES + MESH_SUFFIXES:
         allowed = ", ".join(GLTF_SUFFIXES + MESH_SUFFIXES)
         raise ContentError(f"the extension {shown(path.suffix)} is unknown; allowed: {allowed}")
-    load = load_gltf if suffix in GLTF_SUFFIXES else load_mesh
     try:
-        return load(path, rig, rig_file=rig_file)
+        if suffix in GLTF_SUFFIXES:
+            return load_gltf(path, rig, rig_file=rig_file)
+        return load_mesh(path, rig, rig_file=rig_file)
     except RigError as error:
         raise AvatarError(str(error)) from error

@@ -1,9 +1,8 @@
 """Retargeting of motion from another humanoid to the default rig.
 
 The rig follows the directions and hinges of the source's limbs: a bounded least-squares problem over the rig's degrees
-of freedom, all frames of a clip at once (`pose_solver`). A light pull towards the canonical pose
-shares one source rotation among the rig's bones (one chest joint, three spine bones; a limb's twist over its two
-halves).
+of freedom, all frames of a clip at once (`pose_solver`). A light pull towards the canonical pose shares one source
+rotation among the rig's bones (one chest joint, three spine bones; a limb's twist over its two halves).
 
 Dimensions: `T` frames, `b` bones, `d` degrees of freedom. Radians and metres.
 """

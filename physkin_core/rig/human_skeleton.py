@@ -37,22 +37,34 @@ CANDIDATES = 64
 """Triples of a limb, and pairs of these, that are looked at further: the cheapest."""
 SEGMENT_RATIO = {"arm": 1.12, "leg": 0.9}
 """Length of the upper over the lower segment; rigs differ in where hips are."""
-RATIO_WEIGHT, MOST_SHAPE = 4.0, 3.0
+RATIO_WEIGHT = 4.0
+"""Cost of the logarithm of the lengths' ratio over `SEGMENT_RATIO`."""
+MOST_SHAPE = 3.0
+"""Most that the shape of a limb costs."""
 UNLIKELY_RATIO = 0.6
-"""Logarithm of that over `SEGMENT_RATIO` from which on no joint is taken without its name."""
-ANKLE_WEIGHT, MOST_TURN = 2.0, 0.6
-"""Of the turn from shin to foot, 1 less its cosine."""
-DIFFERENCE_WEIGHT, UNLIKE, REACH_WEIGHT = 2.0, 0.25, 2.0
-"""Of the logarithm of left over right lengths, from which on no joint is taken without its name; and of the way from
-where limbs meet to where they begin."""
-ASYMMETRY, MIDDLE, MIRROR_GAP = 0.03, 0.02, 0.06
-"""Of a skeleton with nameless limbs: mean distance of joints from mirror images, those as near to the middle apart, and
-the most of a limb's joint."""
+"""From this logarithm on, no joint is taken without its name."""
+ANKLE_WEIGHT = 2.0
+"""Cost of the turn from shin to foot, 1 less its cosine."""
+MOST_TURN = 0.6
+"""Most of such a turn that counts."""
+DIFFERENCE_WEIGHT = 2.0
+"""Cost of the logarithm of left over right lengths."""
+UNLIKE = 0.25
+"""From this logarithm on, no limb is taken without its names."""
+REACH_WEIGHT = 2.0
+"""Cost of the distance between where two limbs meet and where they begin."""
+ASYMMETRY = 0.03
+"""Largest mean distance of joints from their mirror images in a skeleton with nameless limbs."""
+MIDDLE = 0.02
+"""Joints nearer to the middle than this have no mirror image."""
+MIRROR_GAP = 0.06
+"""Largest distance of a limb's joint from its mirror image."""
 LIMB_OFFSET = {"arm": 0.085, "leg": 0.03}
 """Least distance of nameless shoulders and hips from the middle: collar bones and halves of a pelvis begin nearer."""
-BRANCH, PART_WAY = 0.4, 0.9
-"""Share of the longest branch that makes another one a branch, as thumb and fingers are; of one without joints below,
-which may just divide the way as twist joints do."""
+BRANCH = 0.4
+"""Share of the longest branch's length from which on another one counts as a branch, as thumb and fingers do."""
+PART_WAY = 0.9
+"""Such a share for a branch without joints below it, which may just divide a bone as twist joints do."""
 CLAVICLE = 0.02
 """Least length of a collar bone that its place alone tells."""
 FACING = 0.005

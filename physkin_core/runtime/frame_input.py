@@ -1,8 +1,8 @@
 """What the garments of one avatar are given in a frame besides joint positions.
 
 For each garment a row of numbers: how gravity and wind pull at it, how much time has passed since the frame before, and
-how fast the root moves. native/src/sway/frame_input.cpp works them out for
-everybody: `Outfit` and `Draper`, the ROS node, replay and hosts in C.
+how fast the root moves. native/src/sway/frame_input.cpp works them out for everybody: `Outfit` and `Draper`, the ROS
+node, replay and hosts in C.
 
 Dimensions: `g` garments. Metres, seconds, radians, root frame.
 """

@@ -51,7 +51,7 @@ class Viewer:
             self._clothes = ClothesTab(page, state, uploads)
         self._pose = PoseTab(page, state, tabs.add_tab("Pose"))
         with tabs.add_tab("Look"):
-            self._look = LookTab(page, state, self._drawing)
+            LookTab(page, state, self._drawing)
             self._fit = Readout(page, FIT)
         self._frame: Frame | None = None
         self._contact: Contact | None = None

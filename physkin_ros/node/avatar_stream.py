@@ -154,18 +154,21 @@ class AvatarStream:
         return self.worn
 
     def _answer(self, worn: WornOutfit, sec: int, nanosec: int) -> None:
-        """Drape the joint positions that have been received, or keep them for the clouds between two poses."""
+        """Drape the joint positions that have been received, or keep them for the clouds between two poses.
+
+        `root.take` finds what belongs to this stamp; `begin_frame` then writes it into the rows that `_drape` hands over.
+        """
         stamp_ns = sec * NANOSECONDS + nanosec
         if self.root.fault and self.root.motion() is None:
             self._on_bad_orientation(self.root.fault)  # and the last direction goes on
         gravity = self.root.take(stamp_ns)
         if worn.interpolator is not None:
             worn.interpolator.push(worn.received, gravity, stamp_ns, monotonic_ns())
-            worn.wire.keep()
+            worn.accept_pose()
             return
         self.root.begin_frame(sec, nanosec)
         if self._drape(worn, worn.received, sec, nanosec):
-            worn.wire.keep()
+            worn.accept_pose()
 
     def _on_cloud_time(self) -> None:
         worn = self.worn

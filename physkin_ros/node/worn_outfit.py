@@ -78,6 +78,10 @@ class WornOutfit:
         if before.reader.joint_names == self.reader.joint_names:
             self.reader.positions = before.reader.positions
 
+    def accept_pose(self) -> None:
+        """The pose received last is good: joints that later messages leave out stay in it."""
+        self.wire.keep()
+
     def set_frame(self, positions: np.ndarray, inputs: np.ndarray) -> float | None:
         """Set what is draped next: joint positions (d,), limbs separated where that is asked for, and rows of frame
         input (g, 13). Returns how far limbs were moved apart [rad], None without separation."""

@@ -173,7 +173,8 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
     if settings.edge_length is not None and not pattern:
         raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {source} is a mesh")
     if pattern:
-        mesh = sewn_mesh(source, avatar, body_model.rig, edge_length=settings.edge_length or EDGE_LENGTH, device=device)
+        edge_length = EDGE_LENGTH if settings.edge_length is None else settings.edge_length
+        mesh = sewn_mesh(source, avatar, body_model.rig, edge_length=edge_length, device=device)
     else:
         mesh = read_mesh(source)
     own = None if pattern or not settings.avatar else OwnPose.of(avatar, avatar.file_vertices, body_model.rig)

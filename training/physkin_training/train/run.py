@@ -69,7 +69,7 @@ def trained_model(
         kept = f"; {checkpoint} is from before, start from it with a lower learning rate" if checkpoint.exists() else ""
         raise TrainingDiverged(f"{error}{kept}") from error
     if interrupted:
-        log.info("stopped at step %d; go on with --resume %s", trainer.step, checkpoint)
+        log.info("stopped at step %d, which --resume goes on from: %s", trainer.step, checkpoint)
         raise KeyboardInterrupt
     model = export(trainer, output, shown=shown)
     log.info("%s: %.2f MB", output, output.stat().st_size / 1e6)
