@@ -156,7 +156,7 @@ class AvatarStream:
     def _answer(self, worn: WornOutfit, sec: int, nanosec: int) -> None:
         """Drape the joint positions that have been received, or keep them for the clouds between two poses.
 
-        `root.take` finds what belongs to this stamp; `begin_frame` then writes it into the rows that `_drape` hands over.
+        `root.take` finds what belongs to this stamp; `begin_frame` then writes it into the rows that `_drape` hands on.
         """
         stamp_ns = sec * NANOSECONDS + nanosec
         if self.root.fault and self.root.motion() is None:
