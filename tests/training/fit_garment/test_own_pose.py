@@ -135,6 +135,7 @@ def test_a_garment_is_where_it_lies(name, scale, axes, read, person, own, templa
         assert np.linalg.norm(there[alone] - expected, axis=1).max() > 0.2
 
 
+@pytest.mark.slow
 def test_the_command_takes_it_as_it_lies(person, avatar_file, template, tmp_path, capsys, no_pictures):
     """A band about the belly is checked and written on the template; beside the avatar it is placed, but not trained
     unasked."""

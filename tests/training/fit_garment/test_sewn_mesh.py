@@ -11,6 +11,7 @@ from physkin_core.formats.obj_file import read_obj
 from physkin_core.model.garment import load_garment
 
 
+@pytest.mark.slow
 def test_a_pattern_is_sewn_and_checked(tmp_path, capsys, no_pictures):
     path = written(tmp_path, tube_skirt(waist=43.0))
     output = ["-o", str(tmp_path / "own.safetensors"), "--device", "cpu"]
