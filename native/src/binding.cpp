@@ -1,7 +1,7 @@
 // physkin_core._native: checks and converts, computes nothing.
 #include "bindings.hpp"
 #include "evaluator/body_encoder.hpp"
-#include "evaluator/evaluator.hpp"
+#include "outfit/evaluator.hpp"
 #include "evaluator/skinner.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "c_interface.hpp"
-#include "evaluator/evaluator.hpp"
+#include "outfit/evaluator.hpp"
 #include "file_format/bound_file.hpp"
 #include "kernels/dispatch.hpp"
 #include "physkin.h"

@@ -1,6 +1,6 @@
 // The part of physkin_core._native that computes frames: checks and converts, computes nothing.
 #include "bindings.hpp"
-#include "evaluator/evaluator.hpp"
+#include "outfit/evaluator.hpp"
 #include "python_arrays.hpp"
 #include "sway/frame_input.hpp"
 

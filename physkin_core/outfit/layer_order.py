@@ -1,12 +1,12 @@
-"""The order of two layers on every frame: what of the outer one would be inside the inner one is moved out of it, and
-what of a tucked one would be outside the waistband over it is moved inside.
+"""The order of two layers in every frame. Vertices of the outer layer that would be inside the inner one are moved out
+of it; vertices of a tucked layer that would be outside the waistband over it are moved inside.
 
 One layer is steady, the other yields. Every vertex that may touch the steady layer has a partner there, its closest
-vertex. It is looked for among those that it meets in everyday poses, the last frame's and the partners of contacts
-around, which know of folds that it has not met yet, and walked from there along the mesh. The planes around the
-partner, weighted by how near they are along the cloth, say how far on the right side the vertex is: that changes
-continuously with the pose. What it lacks pushes it along its own normal, and less and less the vertices around it, so
-that no hem flares and no spike stands out. Along the steady layer it slides as it likes.
+vertex. The search for it begins at the vertices that it meets in everyday poses, at the last frame's partner and at the
+partners of contacts around it, and walks along the mesh from there. The planes around the partner, weighted by how near
+they are along the cloth, say how far the vertex is on the right side; that changes continuously with the pose. A vertex
+that is not far enough is pushed along its own normal, and the vertices around it less and less, so that no hem flares
+and no spike stands out. Along the steady layer it may slide.
 
 native/src/outfit/layer_order.cpp does that on every frame; here it is found out once where two layers may touch.
 

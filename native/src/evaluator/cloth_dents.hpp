@@ -1,7 +1,7 @@
-// Cloth that hangs free gives way detail node by detail node, before skinning: out of what of legs, feet and trunk
-// garment nodes are too far apart to keep it out of, and towards the body where a hand or a forearm presses it, or has
-// passed it, as far as there is room. It depends on the frame's garment nodes and detail alone. Cloth without detail is
-// not dented.
+// Moves the detail nodes of cloth that hangs free, before skinning, in two cases. Where legs, feet or trunk still reach
+// into the cloth, because garment nodes lie too far apart to keep it out, detail nodes move out of them. Where a hand or
+// a forearm presses on the cloth, or has passed through it, they move towards the body, as far as there is room. Only the
+// frame's garment nodes and detail decide. Cloth without detail is not dented.
 #pragma once
 
 #include <vector>

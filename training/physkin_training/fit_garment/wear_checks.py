@@ -48,9 +48,9 @@ DEEPEST_REPAIRED, MOST_INSIDE = 0.08, 0.5
 TOP, HUNG_WITHIN = 0.05, 0.06
 """[m] A garment that lies far from the body, as a cape and a poncho do, has at least its top as close as this."""
 UPSIDE_DOWN = 0.65
-"""A garment is upside down if the distances of its cloth and of its uppermost opening, head down, multiply to less than
-this share of what they are as it is. The shipped garments have 2.7 to 30, a pencil skirt that is 18 % too large has
-0.9; turned over they have 0.02 to 0.5 (skirt)."""
+"""Two distances are multiplied: of the cloth from the body, and of its uppermost opening. A garment is upside down if
+their product, once it is turned over, is less than this share of what it was. The share is 2.7 to 30 for the shipped
+garments (0.9 for a pencil skirt that is 18 % too large), and 0.02 to 0.5 for garments that lie upside down."""
 SAME_PLACE, SAME_SHAPE = 1e-3, 0.5
 """[m] by which a garment may move between two poses that are taken for one; % by which edges may change, unrelaxed."""
 RELAXING = 30

@@ -1,4 +1,4 @@
-#include "evaluator/evaluator.hpp"
+#include "outfit/evaluator.hpp"
 
 #include <algorithm>
 #include <cfloat>
