@@ -1,8 +1,8 @@
 // physkin_core._native: checks and converts, computes nothing.
 #include "bindings.hpp"
 #include "evaluator/body_encoder.hpp"
-#include "outfit/evaluator.hpp"
 #include "evaluator/skinner.hpp"
+#include "outfit/evaluator.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
 #include "sway/frame_input.hpp"

@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "c_interface.hpp"
-#include "outfit/evaluator.hpp"
 #include "file_format/bound_file.hpp"
 #include "kernels/dispatch.hpp"
+#include "outfit/evaluator.hpp"
 #include "physkin.h"
 #include "sway/frame_input.hpp"
 
