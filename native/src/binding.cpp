@@ -117,8 +117,8 @@ nb::dict constants() {
   d["heads"] = kHeads;
   d["capsule_blur"] = kCapsuleBlur;
   d["bound_file_version"] = kBoundFileVersion;
-  d["skin_bones"] = kSkinBones;
-  d["no_height"] = kNoHeight;
+  d["block"] = kBlock;
+  d["skin_block"] = kSkinBlock;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;

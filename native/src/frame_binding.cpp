@@ -150,6 +150,13 @@ nb::ndarray<nb::numpy, const float, nb::ndim<1>> features(BoundEvaluator& self, 
   return {of.features(), {std::size_t(of.feature_count())}, nb::find(self)};
 }
 
+void measure_clearance(BoundEvaluator& self, int garment, Floats out) {
+  check_shape(out, "out", {self.garment(garment).clearances()});
+  self.evaluator().measure_clearance(garment, const_cast<float*>(out.data()));
+}
+
+int clearances(BoundEvaluator& self, int garment) { return self.garment(garment).clearances(); }
+
 nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(FrameInput& self) {
   return {
       reinterpret_cast<float*>(self.rows()), {std::size_t(self.count()), std::size_t(kGarmentInput)}, nb::find(self)};
@@ -164,6 +171,8 @@ void bind_frame(nb::module_& module) {
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
       .def("features", features, "garment"_a = 0)
+      .def("clearances", clearances, "garment"_a = 0)
+      .def("measure_clearance", measure_clearance, "garment"_a, "out"_a.noconvert())
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })
       .def_prop_ro("precision", [](BoundEvaluator& self) { return precision_name(self.evaluator().precision()); });
   nb::class_<BoundStep>(module, "Step")

@@ -26,13 +26,13 @@ from physkin_core.model.sway_network import fold_body
 from physkin_core.native_module import as_float32
 from physkin_core.quality import closest_points
 from physkin_core.rig.linear_blend_skinning import dense_weights, strongest_influences
-from physkin_core.runtime.around_legs import goes_round_both_legs, reaches_knees, thighs
+from physkin_core.runtime.around_legs import reaches_knees, thighs
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.contact import meeting_skin
 from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put_on_body
 from physkin_core.runtime.layer import Layer
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
-from physkin_core.runtime.skin_guard import guarded
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "draping", "rest_normals"]
 
@@ -101,8 +101,7 @@ def bind_garment(
     )
     with draping(model, avatar):  # whatever it is made of, room and guard are those of the cloth as trained
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
-        if model.sway is not None or goes_round_both_legs(model.garment, rig, model.node_rest, model.node_bone):
-            bound = replace(bound, **guarded(bound, avatar, rig))
+        bound = replace(bound, **meeting_skin(bound, avatar, rig))
     return bound if model is trained else replace(bound, **_of_body(model, worn.seen, fit))
 
 

@@ -49,16 +49,15 @@ class BoundGarment(SkinningData):
         (j,) int32 that it looks at; rates and turns (w,) of its oscillators; two layers from the drive to what drives
         and gates these (3 w), SiLU between, and three from states, pose and drive to offsets (12 m), SiLU between.
     sway_thighs: (t,) int32, bones on which cloth lies where they are raised; it then sways less.
-    guard_vertices, guard_influence_nodes, guard_influence_weights: (s, 3) and (s, K), samples of cloth that hangs free,
-        as vertices are given; guard_detail_nodes, guard_detail_weights (s, J): likewise, (s, 0) without detail;
-        guard_shares (s,): how free, 0 to 1; guard_gaps (k, s) [m]: what each keeps off from each of k parts of the
-        skin; guard_ways (k, s, 2): which way a shin leads each back over itself, see `SkinPart.ways_back`.
-    dent_vertices, dent_influence_nodes, dent_influence_weights, dent_detail_nodes, dent_detail_weights: likewise,
-        samples at which cloth is dented, one for each detail node whose cloth hangs free; dent_nodes: int32, that
-        detail node; dent_shares: how free, 0 to 1.
-    skin_frames (k, 3, 4), skin_shapes (k, 5), skin_bones and skin_heights (k, 4), skin_presses (k,), skin_coefficients
-        (k, J, 2 H + 1): the parts of the skin, see `SkinPart`. Empty, like guard_ and dent_ arrays, where no cloth
-        hangs.
+    skin_positions, skin_normals: (q, 3) points of the skin at the canonical pose, in blocks of 8, and unit normals;
+        skin_bones, skin_weights (q, S) that they follow. contact_vertices, contact_normals (s, 3),
+        contact_influence_nodes, contact_influence_weights (s, K), contact_detail_nodes, contact_detail_weights (s, J):
+        samples of the cloth that is kept out of it, as vertices are given; (s, 0) without detail. contact_gaps (s,)
+        [m]: what each keeps off. contact_sides: int32, for each block of 16 samples and each of the skin 1 where the
+        skin is beneath the cloth, -1 where it presses on it. between_nodes, between_weights (t, J): vertices between
+        these samples, by the detail nodes they go with; between_heights (t,) [m] off the mean of those nodes' samples;
+        between_gaps (t,); between_blocks: int32, for each block of 16 the block of samples whose sides it has. All
+        empty where nothing is kept out.
     """
 
     bone_parents: np.ndarray
@@ -82,33 +81,29 @@ class BoundGarment(SkinningData):
     sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_turns: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     sway_thighs: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
-    guard_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
-    guard_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
-    guard_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
-    guard_detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
-    guard_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
-    guard_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
-    guard_gaps: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
-    guard_ways: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 2), dtype=np.float32))
-    dent_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
-    dent_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
-    dent_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
-    dent_detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
-    dent_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
-    dent_nodes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
-    dent_shares: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
-    skin_frames: np.ndarray = field(default_factory=lambda: np.empty((0, 3, 4), dtype=np.float32))
-    skin_shapes: np.ndarray = field(default_factory=lambda: np.empty((0, 5), dtype=np.float32))
-    skin_bones: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.int32))
-    skin_presses: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
-    skin_heights: np.ndarray = field(default_factory=lambda: np.empty((0, 4), dtype=np.float32))
-    skin_coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 9), dtype=np.float32))
+    skin_positions: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    skin_normals: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    skin_bones: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
+    skin_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
+    contact_vertices: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    contact_normals: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    contact_influence_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.int32))
+    contact_influence_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 1), dtype=np.float32))
+    contact_detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    contact_detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    contact_gaps: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    contact_sides: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    between_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+    between_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    between_heights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    between_gaps: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    between_blocks: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     @property
     def unguarded(self) -> BoundGarment:
         """The same, not kept out of the skin: as the networks alone drape it."""
-        guard = [each for each in fields(self) if each.name.startswith(("guard_", "dent_", "skin_"))]
-        return replace(self, **{each.name: each.default_factory() for each in guard})
+        contact = [each for each in fields(self) if each.name.startswith(("contact_", "between_", "skin_"))]
+        return replace(self, **{each.name: each.default_factory() for each in contact})
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:
         """The same of which only some vertices (v,) are computed; faces (f, 3) int32 of these."""

@@ -123,6 +123,13 @@ class Evaluator:
         without detail."""
         return self._evaluator.features(garment).copy()
 
+    def clearance(self, garment: int = 0) -> np.ndarray:
+        """How far samples of the cloth, and vertices between them, are from the skin in the last frame (s + t,) [m],
+        float32; 1 where none is near. Empty where nothing is kept out of it."""
+        out = np.empty(self._evaluator.clearances(garment), dtype=np.float32)
+        self._evaluator.measure_clearance(garment, out)
+        return out
+
 
 def drape_poses(
     bound: BoundGarment, poses: Iterable[tuple[np.ndarray, np.ndarray]], *, precision: Precision | None = None

@@ -51,11 +51,8 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       garment_nodes_(g, arena_),
       pace_(g.nodes, arena_),
       feature_pace_(g.has_detail() ? std::make_optional<FeaturePace>(g, arena_) : std::optional<FeaturePace>()),
-      skin_(skin_parts(g, arena_)),
-      skin_guard_(g.is_guarded() ? std::make_optional<SkinGuard>(g, skin_, kernels, arena_)
-                                 : std::optional<SkinGuard>()),
-      cloth_dents_(g.is_dented() ? std::make_optional<ClothDents>(g, skin_, kernels, arena_)
-                                 : std::optional<ClothDents>()),
+      skin_(g.meets_skin() ? std::make_optional<SkinSurface>(g, kernels, arena_) : std::optional<SkinSurface>()),
+      contact_(g.meets_skin() ? std::make_optional<Contact>(g, kernels, arena_) : std::optional<Contact>()),
       skinner_(g, precision, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
@@ -147,12 +144,9 @@ void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   } else {
     pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_);
   }
-  for (SkinPart& part : skin_) part.pose(bone_transforms_);
-  if (skin_guard_) {
-    const SkinGuard::Cloth cloth{corrections_, still_corrections_, detail_offsets_};
-    skin_guard_->keep_out(garment_nodes_, bone_transforms_, cloth, node_transforms_);
-  }
-  if (cloth_dents_) detail_offsets_ = cloth_dents_->dent(*skin_guard_, node_transforms_, detail_offsets_);
+  if (!contact_) return;
+  skin_->pose(bone_transforms_);
+  detail_offsets_ = contact_->keep_out(skin_->posed(), node_transforms_, detail_offsets_);
 }
 
 }  // namespace physkin

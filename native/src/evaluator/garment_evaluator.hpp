@@ -3,15 +3,14 @@
 
 #include <optional>
 
-#include "evaluator/cloth_dents.hpp"
+#include "evaluator/contact.hpp"
 #include "evaluator/garment_input.hpp"
 #include "evaluator/garment_nodes.hpp"
 #include "evaluator/learnt_sway.hpp"
 #include "evaluator/mlp.hpp"
 #include "evaluator/pace.hpp"
 #include "evaluator/rig.hpp"
-#include "evaluator/skin_guard.hpp"
-#include "evaluator/skin_part.hpp"
+#include "evaluator/skin_surface.hpp"
 #include "evaluator/skinner.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
@@ -54,6 +53,11 @@ class GarmentEvaluator {
   const float* node_transforms() const { return node_transforms_; }
   // Whether a joint, or gravity, is far from where the frame before had it.
   bool jumped() const { return joints_jump_ || gravity_jumps_; }
+  // How far samples of it are from the skin in the last frame, (clearances) [m]. See Contact.
+  int clearances() const { return contact_ ? contact_->measured() : 0; }
+  void measure_clearance(float* clearance) noexcept {
+    if (contact_) contact_->measure(skin_->posed(), node_transforms_, detail_offsets_, clearance);
+  }
   // What the networks last gave, (nodes, 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
 
@@ -83,9 +87,8 @@ class GarmentEvaluator {
   GarmentNodes garment_nodes_;
   Pace pace_;
   std::optional<FeaturePace> feature_pace_;
-  std::vector<SkinPart> skin_;  // that cloth is kept out of
-  std::optional<SkinGuard> skin_guard_;
-  std::optional<ClothDents> cloth_dents_;
+  std::optional<SkinSurface> skin_;
+  std::optional<Contact> contact_;
   Skinner skinner_;
   int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;

@@ -12,8 +12,10 @@
 
 namespace physkin {
 
-// Packs a garment's vertices for the kernel (skinning_blocks.cpp).
-SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena);
+// Packs a garment's vertices for the kernel (skinning_blocks.cpp): in blocks that go with few nodes, or, where others count
+// on their order, as they are given.
+enum class BlockOrder { kFewNodes, kAsGiven };
+SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena, BlockOrder order = BlockOrder::kFewNodes);
 
 // chi_i * inverse of each garment node's rest transform, what the kernel takes. All (nodes, 3, 4), node_rest (nodes, 3).
 void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept;

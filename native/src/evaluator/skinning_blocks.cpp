@@ -228,14 +228,20 @@ const std::int16_t* rounded(const std::vector<float>& weights, float unit, Arena
 
 }  // namespace
 
-SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena) {
-  const std::vector<Block> chosen = choose_blocks(g);
+SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
   SkinningBlocks blocks;
   blocks.vertex_count = g.vertex_count;
-  blocks.block_count = int(chosen.size());
+  blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
 
   std::vector<std::int32_t> order;
-  for (const Block& block : chosen) order.insert(order.end(), block.vertices.begin(), block.vertices.end());
+  if (wanted == BlockOrder::kAsGiven) {
+    order.resize(std::size_t(g.vertex_count));
+    std::iota(order.begin(), order.end(), 0);
+  } else {
+    for (const Block& block : choose_blocks(g)) {
+      order.insert(order.end(), block.vertices.begin(), block.vertices.end());
+    }
+  }
   auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
   auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
   for (int i = 0; i < g.vertex_count; ++i) {

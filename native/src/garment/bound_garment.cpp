@@ -41,6 +41,7 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
 template <class Visitor>
 void visit_sampling(const BoundGarment& g, const std::string& prefix, ClothSampling& of, Visitor&& visit) {
   visit.floats((prefix + "vertices").c_str(), of.vertices, {&of.samples, 3});
+  visit.floats((prefix + "normals").c_str(), of.normals, {&of.samples, 3});
   visit.indices((prefix + "influence_nodes").c_str(), of.influence_nodes, {&of.samples, &of.influences}, 0, g.nodes);
   visit.floats((prefix + "influence_weights").c_str(), of.influence_weights, {&of.samples, &of.influences});
   visit.indices((prefix + "detail_nodes").c_str(), of.detail_nodes, {&of.samples, &of.detail_influences}, 0,
@@ -73,19 +74,18 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("sway_turns", g.sway_turns, {&g.sway_states});
   visit.indices("sway_thighs", g.sway_thighs, {&g.sway_thigh_count}, 0, g.bones);
   visit_skinning_data(g, visit);
-  visit_sampling(g, "guard_", g.guard, visit);
-  visit.floats("guard_shares", g.guard_shares, {&g.guard.samples});
-  visit.floats("guard_gaps", g.guard_gaps, {&g.skin_parts, &g.guard.samples});
-  visit.floats("guard_ways", g.guard_ways, {&g.skin_parts, &g.guard.samples, 2});
-  visit_sampling(g, "dent_", g.dent, visit);
-  visit.indices("dent_nodes", g.dent_nodes, {&g.dent.samples}, 0, g.detail_numbers / 3);
-  visit.floats("dent_shares", g.dent_shares, {&g.dent.samples});
-  visit.floats("skin_frames", g.skin_frames, {&g.skin_parts, 3, 4});
-  visit.floats("skin_shapes", g.skin_shapes, {&g.skin_parts, 5});
-  visit.indices("skin_bones", g.skin_bones, {&g.skin_parts, kSkinBones}, 0, g.bones);
-  visit.indices("skin_presses", g.skin_presses, {&g.skin_parts}, 0, 2);
-  visit.floats("skin_heights", g.skin_heights, {&g.skin_parts, kSkinBones});
-  visit.floats("skin_coefficients", g.skin_coefficients, {&g.skin_parts, &g.skin_splines, kTrunkWaves});
+  visit.floats("skin_positions", g.skin_positions, {&g.skin_points, 3});
+  visit.floats("skin_normals", g.skin_normals, {&g.skin_points, 3});
+  visit.indices("skin_bones", g.skin_bones, {&g.skin_points, &g.skin_influences}, 0, g.bones);
+  visit.floats("skin_weights", g.skin_weights, {&g.skin_points, &g.skin_influences});
+  visit_sampling(g, "contact_", g.contact, visit);
+  visit.floats("contact_gaps", g.contact_gaps, {&g.contact.samples});
+  visit.indices("contact_sides", g.contact_sides, {&g.contact_blocks, &g.skin_blocks}, -1, 2);
+  visit.indices("between_nodes", g.between_nodes, {&g.between, &g.contact.detail_influences}, 0, g.detail_numbers / 3);
+  visit.floats("between_weights", g.between_weights, {&g.between, &g.contact.detail_influences});
+  visit.floats("between_heights", g.between_heights, {&g.between});
+  visit.floats("between_gaps", g.between_gaps, {&g.between});
+  visit.indices("between_blocks", g.between_blocks, {&g.between_block_count}, 0, g.contact_blocks);
 }
 
 // --- Reading ---
@@ -237,20 +237,22 @@ void check_sampling(const BoundGarment& g, const std::string& prefix, const Clot
   }
 }
 
-// A part of the skin: a height range to be spread over, and splines that reach over it.
-void check_skin(const BoundGarment& g) {
-  for (int k = 0; k < g.skin_parts; ++k) {
-    const float* shape = g.skin_shapes + 5 * k;
-    if (!(shape[3] > shape[2]) || !(shape[4] > 0)) {
-      fail(element("skin_shapes", k) + " goes from " + std::to_string(shape[2]) + " to " + std::to_string(shape[3]) +
-           ", blended over " + std::to_string(shape[4]) + "; it must go upwards, and be blended over more than 0");
-    }
+// Whole blocks of skin, and a side for each block of samples to each of these.
+void check_contact(const BoundGarment& g) {
+  check_sampling(g, "contact_", g.contact);
+  if (g.skin_points % kSkinBlock != 0 || (g.skin_points > 0 && g.skin_influences < 1)) {
+    fail("skin_positions are " + std::to_string(g.skin_points) + " with " + std::to_string(g.skin_influences) +
+         " bones each; expected a multiple of " + std::to_string(kSkinBlock) + ", with at least one");
   }
-  if (g.skin_parts > 0 && g.skin_splines < 3) {
-    fail("skin_coefficients have " + std::to_string(g.skin_splines) + " splines; at least 3 are needed");
+  const int blocks = (g.contact.samples + kBlock - 1) / kBlock, skin_blocks = g.skin_points / kSkinBlock;
+  if (g.meets_skin() && (g.contact_blocks != blocks || g.skin_blocks != skin_blocks)) {
+    fail("contact_sides are " + std::to_string(g.contact_blocks) + " x " + std::to_string(g.skin_blocks) +
+         "; expected " + std::to_string(blocks) + " x " + std::to_string(skin_blocks));
   }
-  check_sampling(g, "guard_", g.guard);
-  check_sampling(g, "dent_", g.dent);
+  if (g.between_block_count != (g.between + kBlock - 1) / kBlock) {
+    fail("between_blocks are " + std::to_string(g.between_block_count) + "; expected " +
+         std::to_string((g.between + kBlock - 1) / kBlock));
+  }
 }
 
 void check_sizes(const SkinningData& d) {
@@ -345,7 +347,7 @@ void validate(const BoundGarment& garment) {
   check_features(g);
   check_sway(g);
   check_fabrics(g);
-  check_skin(g);
+  check_contact(g);
 }
 
 }  // namespace physkin

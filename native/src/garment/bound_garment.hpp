@@ -34,6 +34,7 @@ struct SkinningData {
 struct ClothSampling {
   int samples = -1, influences = -1, detail_influences = -1;
   const float* vertices = nullptr;                // (samples, 3)
+  const float* normals = nullptr;                 // (samples, 3) unit
   const std::int32_t* influence_nodes = nullptr;  // (samples, influences)
   const float* influence_weights = nullptr;       // (samples, influences)
   const std::int32_t* detail_nodes = nullptr;     // (samples, detail_influences), none without detail
@@ -44,7 +45,8 @@ struct ClothSampling {
 struct BoundGarment : SkinningData {
   int bones = -1, dofs = -1, deformer_bone_count = -1;
   int sway_joint_count = -1, sway_states = -1, sway_thigh_count = -1;
-  int skin_parts = -1, skin_splines = -1;
+  int skin_points = -1, skin_influences = -1, contact_blocks = -1, skin_blocks = -1;
+  int between = -1, between_block_count = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -77,28 +79,22 @@ struct BoundGarment : SkinningData {
   const float* sway_turns = nullptr;          // (sway_states,) rad/s
   const std::int32_t* sway_thighs = nullptr;  // (sway_thigh_count,) bones that hold sway back where they are raised
   bool sways_by_network() const { return !sway_layers.empty(); }
-  // Samples of cloth that hangs free, and the skin that they are kept out of; or none. See SkinGuard.
-  ClothSampling guard;
-  const float* guard_shares = nullptr;  // (guard samples,) how free each hangs, 0 to 1
-  const float* guard_gaps = nullptr;    // (skin_parts, guard samples) kept from the part's skin
-  const float* guard_ways = nullptr;    // (skin_parts, guard samples, 2) back over a shin, in the part's x, y
-  // Samples of the same cloth, one a detail node; or none. See ClothDents.
-  ClothSampling dent;
-  const std::int32_t* dent_nodes = nullptr;    // (dent samples,) detail node of each
-  const float* dent_shares = nullptr;          // (dent samples,) how free each hangs, 0 to 1
-  const float* skin_frames = nullptr;          // (skin_parts, 3, 4) from the canonical pose to the part's own axes
-  const float* skin_shapes = nullptr;          // (skin_parts, 5) x, y, low, high, blend as in TrunkField
-  const std::int32_t* skin_bones = nullptr;    // (skin_parts, kSkinBones)
-  const std::int32_t* skin_presses = nullptr;  // (skin_parts,) 1 of an arm: cloth is between it and the body; else 0
-  const float* skin_heights = nullptr;         // (skin_parts, kSkinBones) that each takes over at; kNoHeight: none
-  const float* skin_coefficients = nullptr;    // (skin_parts, skin_splines, kTrunkWaves)
-  bool is_guarded() const { return guard.samples > 0 && skin_parts > 0; }
-  bool is_dented() const { return is_guarded() && dent.samples > 0; }
+  // The body's skin and samples of the cloth that is kept out of it; or none. See Contact.
+  const float* skin_positions = nullptr;     // (skin_points, 3) canonical pose, in blocks of kSkinBlock
+  const float* skin_normals = nullptr;       // (skin_points, 3) unit
+  const std::int32_t* skin_bones = nullptr;  // (skin_points, skin_influences)
+  const float* skin_weights = nullptr;       // (skin_points, skin_influences)
+  ClothSampling contact;
+  const float* contact_gaps = nullptr;          // (contact samples,) kept from the skin
+  const std::int32_t* contact_sides = nullptr;  // (blocks of kBlock samples, blocks of skin) 1, -1 or 0 as of meet_skin
+  // Vertices between these samples, in blocks of kBlock; none without detail.
+  const std::int32_t* between_nodes = nullptr;   // (between, detail influences) detail nodes they go with
+  const float* between_weights = nullptr;        // (between, detail influences)
+  const float* between_heights = nullptr;        // (between,) off the mean of those nodes' samples, along the normal
+  const float* between_gaps = nullptr;           // (between,) kept from the skin
+  const std::int32_t* between_blocks = nullptr;  // (between_block_count,) block of samples whose sides they have
+  bool meets_skin() const { return contact.samples > 0 && skin_points > 0; }
 };
-
-// Bones of a part of the skin, and the height of one that is not there.
-constexpr int kSkinBones = 4;
-constexpr float kNoHeight = 1e3f;
 
 // Where fields are read from, by name. A negative size in `shape` allows any and is filled in; a field that is missing,
 // or of another type or shape, is refused by an exception of the source's own.
@@ -111,7 +107,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields of a garment change, or the file's form.
-constexpr std::uint32_t kBoundFileVersion = 11;
+constexpr std::uint32_t kBoundFileVersion = 12;
 
 // Reads every field; what the arrays hold is for `validate` to check.
 SkinningData read_skinning_data(FieldSource& source);

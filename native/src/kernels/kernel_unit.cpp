@@ -1,4 +1,5 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "kernels/contact_kernel.hpp"
 #include "kernels/dense_kernel.hpp"
 #include "kernels/oscillator_kernel.hpp"
 #include "kernels/ring_kernel.hpp"
@@ -19,12 +20,10 @@ const Kernels kernels{
      {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
-    rest,
-    place,
+    skin_columns,
     ring_normals,
     trunk_depth,
-    axis_beyond,
-    axis_crossed,
+    meet_skin,
     oscillate,
     token_linear,
     token_norm,

@@ -105,6 +105,23 @@ struct TrunkField {
   const float* coefficients = nullptr;  // (splines, kTrunkWaves)
 };
 
+// Points of the skin with normals, in blocks that lie together and face alike. Posed; arrays are aligned.
+constexpr int kSkinBlock = 8;
+
+struct SkinBlocks {
+  int count = 0;                   // of blocks, a multiple of kBlock
+  const float* points = nullptr;   // (count / 2, 6, kBlock) x, y, z [m] and normal; two blocks in each
+  const float* middles = nullptr;  // (count / kBlock, 6, kBlock) the same of the blocks themselves
+  const float* radii = nullptr;    // (count,) [m] of each about its middle
+};
+
+// Room for what a block of cloth may meet, of `count` blocks of skin: (count + kBlock,) blocks, (count, kBlock)
+// what they add to squared distances, and (count * kSkinBlock, kBlock) of these. Aligned.
+struct ContactRoom {
+  std::int32_t* blocks = nullptr;
+  float *turned = nullptr, *squares = nullptr;
+};
+
 // Logarithm of how many times faster, or slower, a gate lets the oscillators of a sway network run at most.
 constexpr float kMostSpeedUp = 1.5f;
 
@@ -130,12 +147,8 @@ struct Kernels {
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 
-  // The same in two steps, of one block, where it is skinned more than once in a frame: where its vertices are at rest, x,
-  // y and z (3, kBlock), moved by offsets; and where matrices put them from there, `apart` floats from one coordinate to
-  // the next. Aligned.
-  void (*rest)(const SkinningBlocks& blocks, int block, const float* offsets, float* at_rest);
-  void (*place)(const SkinningBlocks& blocks, int block, const float* matrices, const float* at_rest, float* positions,
-                std::ptrdiff_t apart);
+  // The same in columns: (block_count, 6, kBlock), aligned, block by block. Beyond vertex_count are no numbers of use.
+  void (*skin_columns)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns);
 
   // Writes places, and unit normals of the faces around each, weighted by their areas; +Z where they cancel out.
   void (*ring_normals)(FaceRings rings, VertexRows rows);
@@ -144,16 +157,11 @@ struct Kernels {
   // kTrunkPoints.
   void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
 
-  // Points (3, count), aligned, count a multiple of kTrunkPoints, to `beyond` (count,) [m2]: by how much the square of
-  // their distance from an axis is above that of its width there, the least of its stretches. axis: (stretches + 1, 3).
-  void (*axis_beyond)(const float* axis, const float* widths, int stretches, const float* points, int count,
-                      float* beyond);
-
-  // Of ways from points to others, both (3, count) as above, raises to the share (count,) that is to go so that none leads
-  // through the middle of what has these widths about an axis, but stops where it enters it: 0 to 1. Ways that begin
-  // inside go on.
-  void (*axis_crossed)(const float* axis, const float* widths, int stretches, const float* from, const float* to,
-                       int count, float* crossed);
+  // Where a block of cloth is from the skin. cloth: (6, kBlock) as of skin_columns. sides: (skin.count,) of each block of
+  // skin, 1 where it is beneath the cloth, -1 where it presses on it, 0 where the two never meet. planes (5, kBlock):
+  // distance [m], normal, and in how far that holds, 0 to 1. False, and nothing written, where no skin is near.
+  bool (*meet_skin)(const SkinBlocks& skin, const float* cloth, const std::int16_t* sides, const ContactRoom& room,
+                    float* planes);
 
   // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and
   // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.

@@ -63,6 +63,19 @@ inline bool any(Ints holds) {
 #endif
 }
 
+// A bit for each lane where a comparison holds, the first lane's the lowest.
+inline unsigned bits_of(Ints holds) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi32_mask((__m512i)holds, (__m512i)holds);
+#elif defined(__AVX2__)
+  return unsigned(_mm256_movemask_ps((__m256)holds));
+#elif defined(__x86_64__)
+  return unsigned(_mm_movemask_ps((__m128)holds));
+#else
+  return unsigned((holds[0] & 1) | (holds[1] & 2) | (holds[2] & 4) | (holds[3] & 8));
+#endif
+}
+
 // exp(v), relative error below 2e-7; v is clamped to [-87, 88], where the result is a normal float.
 inline Floats exponential(Floats v) {
   v = at_most(at_least(v, -87.0f), 88.0f);

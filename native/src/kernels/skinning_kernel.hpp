@@ -232,29 +232,26 @@ inline void skin(const SkinningBlocks& blocks, const float* matrices, const floa
   }
 }
 
-inline void rest(const SkinningBlocks& blocks, int block, const float* offsets, float* at_rest) {
-  for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
-    const RestLanes found = offsets != nullptr ? rest_lanes<true>(blocks, offsets, block, lane)
-                                               : rest_lanes<false>(blocks, nullptr, block, lane);
+template <bool kDetail>
+inline void columns_of(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns) {
+  const float* normals = blocks.rest + 3 * kBlock;
+  for (int block = 0; block < blocks.block_count; ++block, normals += 6 * kBlock, columns += 6 * kBlock) {
+    for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
+      const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, block, lane);
+      const BlendedLanes blend = blend_lanes(blocks, matrices, block, lane);
 #pragma GCC unroll 4
-    for (int v = 0; v < kTogether; ++v) {
-      for (int c = 0; c < 3; ++c) store(at_rest + c * kBlock + lane + v * kLanes, found.of[v][c]);
+      for (int v = 0; v < kTogether; ++v) {
+        const int from = lane + v * kLanes;
+        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], rest.of[v], normals + from);
+        for (int c = 0; c < 6; ++c) store(columns + c * kBlock + from, skinned.column[c]);
+      }
     }
   }
 }
 
-inline void place(const SkinningBlocks& blocks, int block, const float* matrices, const float* at_rest,
-                  float* positions, std::ptrdiff_t apart) {
-  for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
-    const BlendedLanes blend = blend_lanes(blocks, matrices, block, lane);
-#pragma GCC unroll 4
-    for (int v = 0; v < kTogether; ++v) {
-      const int from = lane + v * kLanes;
-      const Floats at[3] = {load(at_rest + from), load(at_rest + kBlock + from), load(at_rest + 2 * kBlock + from)};
-      const SkinnedLanes skinned = skin_lanes<false>(blend.of[v], at, nullptr);
-      for (int c = 0; c < 3; ++c) store(positions + c * apart + from, skinned.column[c]);
-    }
-  }
+inline void skin_columns(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns) {
+  offsets != nullptr ? columns_of<true>(blocks, matrices, offsets, columns)
+                     : columns_of<false>(blocks, matrices, nullptr, columns);
 }
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -8,8 +8,6 @@
 namespace physkin::PHYSKIN_ISA {
 
 constexpr float kAxisBlur = 0.02f, kRounding = 0.03f, kBelow = 3.0f, kAbove = 1.0f;
-// Share of the width that is the middle: what leads past it may go on.
-constexpr float kMiddle = 0.6f;
 
 struct Place {
   Floats x, y, z;
@@ -90,65 +88,6 @@ inline void trunk_depth(const TrunkField& field, const float* points, int count,
     store(contacts + count + k, normal.x);
     store(contacts + 2 * count + k, normal.y);
     store(contacts + 3 * count + k, normal.z);
-  }
-}
-
-inline void axis_beyond(const float* axis, const float* widths, int stretches, const float* points, int count,
-                        float* beyond) {
-  for (int stretch = 0; stretch < stretches; ++stretch, axis += 3) {
-    const float way[] = {axis[3] - axis[0], axis[4] - axis[1], axis[5] - axis[2]};
-    const float square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-    const float per = 1 / (square < 1e-9f ? 1e-9f : square), width = widths[stretch] * widths[stretch];
-    for (int k = 0; k < count; k += kLanes) {
-      const Floats x = load(points + k) - axis[0], y = load(points + count + k) - axis[1];
-      const Floats z = load(points + 2 * count + k) - axis[2];
-      const Floats along = at_most(at_least(per * (x * way[0] + y * way[1] + z * way[2]), 0.0f), 1.0f);
-      const Floats ax = x - along * way[0], ay = y - along * way[1], az = z - along * way[2];
-      const Floats over = ax * ax + ay * ay + az * az - width;
-      const Floats before = stretch == 0 ? over : load(beyond + k);
-      store(beyond + k, before < over ? before : over);
-    }
-  }
-}
-
-inline void axis_crossed(const float* axis, const float* widths, int stretches, const float* from, const float* to,
-                         int count, float* crossed) {
-  constexpr float kLeast = 1e-9f, kOutermost = kMiddle * kMiddle, kInnermost = kOutermost / 4;
-  const auto within = [](Floats v) { return at_most(at_least(v, 0.0f), 1.0f); };
-  for (int stretch = 0; stretch < stretches; ++stretch, axis += 3) {
-    const float way[] = {axis[3] - axis[0], axis[4] - axis[1], axis[5] - axis[2]};
-    const float square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-    const float per = 1 / (square < kLeast ? kLeast : square), width = widths[stretch] * widths[stretch];
-    const float middle = kOutermost * width, per_outer = 1 / (width - middle);
-    const float per_inner = 1 / (middle - kInnermost * width);
-    for (int k = 0; k < count; k += kLanes) {
-      const Floats x = load(from + k) - axis[0], y = load(from + count + k) - axis[1];
-      const Floats z = load(from + 2 * count + k) - axis[2];
-      const Floats dx = load(to + k) - axis[0] - x, dy = load(to + count + k) - axis[1] - y;
-      const Floats dz = load(to + 2 * count + k) - axis[2] - z;
-      const Floats length = at_least(dx * dx + dy * dy + dz * dz, kLeast);
-      const Floats start = x * way[0] + y * way[1] + z * way[2], beginning = within(per * start);
-      const Floats bx = x - beginning * way[0], by = y - beginning * way[1], bz = z - beginning * way[2];
-      const Floats off = bx * bx + by * by + bz * bz;
-      // Most begin farther off than they are long, and the middle is wide: (a + b)^2 <= 2 (a^2 + b^2).
-      if (!any(off < 2 * (length + middle))) continue;
-      const Floats ahead = dx * x + dy * y + dz * z, beside = dx * way[0] + dy * way[1] + dz * way[2];
-      const Floats per_length = 1.0f / length;
-      // The nearest points of both stretches, each as a share of its own.
-      const Floats apart = at_least(length * square - beside * beside, kLeast);
-      Floats share = within((beside * start - ahead * square) / apart);
-      const Floats along = within(per * (beside * share + start));
-      share = within((beside * along - ahead) * per_length);
-      const Floats nx = x + share * dx - along * way[0], ny = y + share * dy - along * way[1];
-      const Floats nz = z + share * dz - along * way[2], near = nx * nx + ny * ny + nz * nz;
-      const Floats outside = within((off - middle) * per_outer);
-      const Floats through = within((middle - near) * per_inner);
-      const Floats chord = at_least((width - near) * per_length, kLeast);
-      const Floats enters = within(share - chord * reciprocal_sqrt(chord));
-      const Floats gone = outside * through * (1.0f - enters);
-      const Floats before = load(crossed + k);
-      store(crossed + k, before > gone ? before : gone);
-    }
   }
 }
 

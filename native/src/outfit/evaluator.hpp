@@ -42,6 +42,11 @@ class Evaluator {
   void keep(const VertexRows* rows) noexcept;
   void compute_normals(const VertexRows* rows) noexcept;
 
+  // As of GarmentEvaluator.
+  void measure_clearance(int garment, float* clearance) noexcept {
+    garments_[std::size_t(garment)]->measure_clearance(clearance);
+  }
+
   int count() const { return int(garments_.size()); }
   int dofs() const { return garments_.front()->dofs(); }
   int rejected() const { return rejected_; }

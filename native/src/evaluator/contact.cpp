@@ -1,0 +1,297 @@
+#include "evaluator/contact.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <vector>
+
+#include "evaluator/skinner.hpp"
+
+namespace physkin {
+namespace {
+
+// [m] Cloth is moved by what it lacks, from this much before it must, so that it begins without a kink.
+constexpr float kSoft = 0.002f;
+// [m] Samples this much farther off than they must be may lack something when others are moved.
+constexpr float kBesides = 0.004f;
+// [m] Garment nodes move where samples lack more than this; detail nodes do the rest.
+constexpr float kLeft = 0.004f;
+// [m] What lies between samples is looked at where one lacks so much, and counts in full where it lacks twice as much.
+constexpr float kLooks = 0.002f;
+// [m] What samples that lack nothing hold a node back as if they lacked: of garment nodes, and of detail nodes.
+constexpr float kNodeSlack = 0.001f, kDetailSlack = 0.0003f;
+// What a sample lacks is its nodes' part only: the second time sees what the first has left.
+constexpr int kPasses = 2;
+// [m] Samples that lack less stay.
+constexpr float kLeast = 1e-5f;
+// Where skinning makes less of a volume than this, detail is moved as if it were this.
+constexpr float kFlattened = 0.3f;
+
+SkinningData as_vertices(const BoundGarment& g) {
+  const ClothSampling& of = g.contact;
+  SkinningData data;
+  data.nodes = g.nodes;
+  data.vertex_count = of.samples;
+  data.influences = of.influences;
+  data.node_rest = g.node_rest;
+  data.vertices = of.vertices;
+  data.normals = of.normals;
+  data.influence_nodes = of.influence_nodes;
+  data.influence_weights = of.influence_weights;
+  data.detail_vertices = of.detail_influences > 0 ? of.samples : 0;
+  data.detail_influences = of.detail_influences;
+  data.detail_numbers = g.detail_numbers;
+  data.detail_nodes = of.detail_nodes;
+  data.detail_weights = of.detail_weights;
+  return data;
+}
+
+}  // namespace
+
+Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
+    : kernels_(kernels),
+      node_count_(g.nodes),
+      detail_count_(g.contact.detail_influences > 0 ? g.detail_numbers / 3 : 0),
+      samples_(g.contact.samples),
+      between_(g.between),
+      blocks_(pack_skinning_blocks(as_vertices(g), arena, BlockOrder::kAsGiven)),
+      skin_rooms_((g.skin_points / kSkinBlock + kBlock - 1) / kBlock * kBlock),
+      heights_(arena.copy(g.between_heights, std::size_t(between_))),
+      block_of_(arena.copy(g.between_blocks, std::size_t(g.between_block_count))),
+      node_rest_(arena.copy(g.node_rest, 3 * std::size_t(g.nodes))),
+      matrices_(arena.take<float>(12 * std::size_t(g.nodes))),
+      columns_(arena.take<float>(6 * std::size_t(kBlock * blocks_.block_count))),
+      between_columns_(arena.take<float>(6 * kBlock)),
+      planes_(arena.take<float>(5 * kBlock)),
+      room_{arena.take<std::int32_t>(std::size_t(skin_rooms_ + kBlock)),
+            arena.take<float>(std::size_t(skin_rooms_ * kBlock)),
+            arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
+      garment_nodes_(movers(g.nodes, g.contact.influences, samples_, arena)),
+      detail_nodes_(movers(detail_count_, g.contact.detail_influences, samples_ + between_, arena)),
+      lacks_(arena.take<float>(std::size_t(samples_))),
+      near_(arena.take<Near>(std::size_t(samples_ + between_))),
+      offsets_(arena.take<float>(3 * std::size_t(detail_count_))) {
+  const int skin_blocks = g.skin_points / kSkinBlock;
+  auto* sides = arena.take<std::int16_t>(std::size_t(blocks_.block_count) * std::size_t(skin_rooms_));
+  for (int block = 0; block < blocks_.block_count; ++block) {
+    for (int k = 0; k < skin_blocks; ++k) {
+      sides[block * skin_rooms_ + k] = std::int16_t(g.contact_sides[std::ptrdiff_t(block) * skin_blocks + k]);
+    }
+  }
+  sides_ = sides;
+  auto* gaps = arena.take<float>(std::size_t(samples_ + between_));
+  std::copy_n(g.contact_gaps, samples_, gaps);
+  std::copy_n(g.between_gaps, between_, gaps + samples_);
+  gaps_ = gaps;
+  garment_nodes_.take(g.contact.influence_nodes, g.contact.influence_weights, 0, samples_, kNodeSlack);
+  detail_nodes_.take(g.contact.detail_nodes, g.contact.detail_weights, 0, samples_, kDetailSlack);
+  detail_nodes_.take(g.between_nodes, g.between_weights, samples_, between_, kDetailSlack);
+  find_samples_around(arena);
+}
+
+Contact::Movers Contact::movers(int count, int each, int samples, Arena& arena) {
+  const std::size_t influences = std::size_t(samples) * std::size_t(each);
+  return {count,
+          each,
+          arena.take<std::int32_t>(influences),
+          arena.take<float>(influences),
+          arena.take<float>(std::size_t(count)),
+          arena.take<Four>(std::size_t(count)),
+          arena.take<Four>(std::size_t(count))};
+}
+
+void Contact::Movers::take(const std::int32_t* from, const float* by, int first, int samples, float slack_each) {
+  std::copy_n(from, samples * each, nodes + first * each);
+  std::copy_n(by, samples * each, weights + first * each);
+  for (int at = 0; at < samples * each; ++at) slack[from[at]] += slack_each * by[at];
+}
+
+void Contact::find_samples_around(Arena& arena) {
+  auto* sample_of = arena.take<std::int32_t>(std::size_t(detail_count_));
+  std::vector<float> most(std::size_t(detail_count_), 0.0f);
+  const int each = detail_nodes_.each;
+  for (int at = 0; at < samples_ * each; ++at) {
+    const int node = detail_nodes_.nodes[at];
+    if (!(detail_nodes_.weights[at] > most[std::size_t(node)])) continue;
+    most[std::size_t(node)] = detail_nodes_.weights[at];
+    sample_of[node] = at / each;
+  }
+  sample_of_ = sample_of;
+  std::vector<std::int32_t> starts{0}, around;
+  for (int first = 0; first < between_; first += kBlock) {
+    std::set<std::int32_t> of_block;
+    for (int s = first; s < std::min(first + kBlock, between_); ++s) {
+      for (int at = each * (samples_ + s); at < each * (samples_ + s + 1); ++at) {
+        if (detail_nodes_.weights[at] > 0) of_block.insert(sample_of[detail_nodes_.nodes[at]]);
+      }
+    }
+    around.insert(around.end(), of_block.begin(), of_block.end());
+    starts.push_back(std::int32_t(around.size()));
+  }
+  around_start_ = arena.copy(starts.data(), starts.size());
+  around_ = arena.copy(around.data(), around.size());
+}
+
+const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, const float* offsets) noexcept {
+  place(node_transforms, offsets);
+  near_count_ = 0;
+  for (int first = 0; first < samples_; first += kBlock) {
+    look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
+  }
+  if (near_count_ == 0) return offsets;
+  if (move(garment_nodes_, kLeft)) move_garment_nodes(node_transforms);
+  look_between(skin);
+  if (!move(detail_nodes_, 0.0f)) return offsets;
+  std::copy_n(offsets, 3 * detail_count_, offsets_);
+  for (int node = 0; node < detail_count_; ++node) {
+    const Four by = detail_nodes_.moves[node];
+    if (by[0] == 0 && by[1] == 0 && by[2] == 0) continue;
+    const Vector3 at_rest = turned_back(node, {by[0], by[1], by[2]});
+    offsets_[3 * node] += at_rest.x;
+    offsets_[3 * node + 1] += at_rest.y;
+    offsets_[3 * node + 2] += at_rest.z;
+  }
+  return offsets_;
+}
+
+void Contact::measure(const SkinBlocks& skin, const float* node_transforms, const float* offsets,
+                      float* clearance) noexcept {
+  place(node_transforms, offsets);
+  std::fill_n(clearance, samples_ + between_, kNoSkin);
+  const auto read = [&](bool any, int first, int end) {
+    for (int s = first; any && s < end; ++s) {
+      if (planes_[4 * kBlock + s - first] > 0) clearance[s] = planes_[s - first];
+    }
+  };
+  for (int first = 0; first < samples_; first += kBlock) {
+    const std::int16_t* sides = sides_ + std::ptrdiff_t(first / kBlock) * skin_rooms_;
+    read(kernels_.meet_skin(skin, columns_ + 6 * first, sides, room_, planes_), first,
+         std::min(first + kBlock, samples_));
+  }
+  for (int first = 0; first < between_; first += kBlock) {
+    place_between(first / kBlock);
+    const std::int16_t* sides = sides_ + std::ptrdiff_t(block_of_[first / kBlock]) * skin_rooms_;
+    read(kernels_.meet_skin(skin, between_columns_, sides, room_, planes_), samples_ + first,
+         samples_ + std::min(first + kBlock, between_));
+  }
+}
+
+void Contact::place(const float* node_transforms, const float* offsets) noexcept {
+  skinning_matrices(node_transforms, node_rest_, node_count_, matrices_);
+  kernels_.skin_columns(blocks_, matrices_, offsets, columns_);
+}
+
+void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end,
+                      float share) noexcept {
+  if (!kernels_.meet_skin(skin, columns, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_)) return;
+  for (int sample = first; sample < end; ++sample) {
+    const float* plane = planes_ + sample - first;
+    const float left = plane[0] - gaps_[sample] - kSoft, holds = share * plane[4 * kBlock];
+    if (!(holds > 0) || !(left < kBesides)) continue;
+    near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, left, holds};
+  }
+}
+
+float Contact::lack_of(const Near& near) const noexcept {
+  const float wanted = std::max(-near.left, 0.0f);
+  return near.holds * (wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft);
+}
+
+// What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
+bool Contact::move(Movers& movers, float may) noexcept {
+  bool moved = false;
+  for (int pass = 0; pass < kPasses && movers.count > 0; ++pass) {
+    bool any = false;
+    for (int k = 0; k < near_count_; ++k) {
+      const Near& near = near_[k];
+      const float lack = lack_of(near) - may;
+      if (!(lack > kLeast)) continue;
+      if (!any) std::fill_n(movers.sums, movers.count, Four{});
+      any = true;
+      const Four counted = lack * (lack * near.normal + Four{0, 0, 0, 1});
+      for (int at = movers.each * near.sample; at < movers.each * (near.sample + 1); ++at) {
+        movers.sums[movers.nodes[at]] += movers.weights[at] * counted;
+      }
+    }
+    if (!any) break;
+    if (!moved) std::fill_n(movers.moves, movers.count, Four{});
+    moved = true;
+    for (int node = 0; node < movers.count; ++node) {
+      Four& sum = movers.sums[node];
+      if (!(sum[3] > 0)) continue;
+      sum *= 1 / (sum[3] + movers.slack[node]);
+      movers.moves[node] += sum;
+    }
+    for (int k = 0; k < near_count_; ++k) {
+      Near& near = near_[k];
+      const Four by = near.normal * movers.moved(near.sample, movers.sums);
+      near.left += by[0] + by[1] + by[2];
+    }
+  }
+  return moved;
+}
+
+inline Contact::Four Contact::Movers::moved(int sample, const Four* by) const noexcept {
+  Four sum = {};
+  for (int at = each * sample; at < each * (sample + 1); ++at) sum += weights[at] * by[nodes[at]];
+  return sum;
+}
+
+void Contact::move_garment_nodes(float* node_transforms) noexcept {
+  for (int i = 0; i < node_count_; ++i) {
+    for (int c = 0; c < 3; ++c) node_transforms[12 * i + 4 * c + 3] += garment_nodes_.moves[i][c];
+  }
+  for (int sample = 0; sample < samples_; ++sample) {
+    const Four by = garment_nodes_.moved(sample, garment_nodes_.moves);
+    float* at = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
+    for (int c = 0; c < 3; ++c) at[c * kBlock] += by[c];
+  }
+}
+
+void Contact::look_between(const SkinBlocks& skin) noexcept {
+  if (between_ == 0) return;
+  std::fill_n(lacks_, samples_, 0.0f);
+  for (int k = 0; k < near_count_; ++k) lacks_[near_[k].sample] = lack_of(near_[k]);
+  for (int first = 0; first < between_; first += kBlock) {
+    const int block = first / kBlock;
+    float most = 0;
+    for (int at = around_start_[block]; at < around_start_[block + 1]; ++at) most = std::max(most, lacks_[around_[at]]);
+    if (!(most > kLooks)) continue;
+    place_between(block);
+    look_up(skin, between_columns_, block_of_[block], samples_ + first, samples_ + std::min(first + kBlock, between_),
+            std::min(most / kLooks - 1, 1.0f));
+  }
+}
+
+// Detail nodes give way to each other linearly, and so do the samples that go with them.
+void Contact::place_between(int block) noexcept {
+  const int first = kBlock * block, each = detail_nodes_.each;
+  for (int lane = 0; lane < kBlock; ++lane) {
+    const int s = std::min(first + lane, between_ - 1);
+    float sum[6] = {};
+    for (int at = each * (samples_ + s); at < each * (samples_ + s + 1); ++at) {
+      const int sample = sample_of_[detail_nodes_.nodes[at]];
+      const float* from = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
+      for (int c = 0; c < 6; ++c) sum[c] += detail_nodes_.weights[at] * from[c * kBlock];
+    }
+    for (int c = 0; c < 3; ++c) {
+      between_columns_[c * kBlock + lane] = sum[c] + heights_[s] * sum[3 + c];
+      between_columns_[(3 + c) * kBlock + lane] = sum[3 + c];
+    }
+  }
+}
+
+Vector3 Contact::turned_back(int detail_node, Vector3 by) const noexcept {
+  const int sample = sample_of_[detail_node];
+  float sum[12] = {};
+  for (int at = garment_nodes_.each * sample; at < garment_nodes_.each * (sample + 1); ++at) {
+    const float* matrix = matrices_ + 12 * garment_nodes_.nodes[at];
+    for (int k = 0; k < 12; ++k) sum[k] += garment_nodes_.weights[at] * matrix[k];
+  }
+  const Vector3 x{sum[0], sum[4], sum[8]}, y{sum[1], sum[5], sum[9]}, z{sum[2], sum[6], sum[10]};
+  const Vector3 yz = cross(y, z);
+  const float inverse = 1 / std::max(dot(x, yz), kFlattened);
+  return {inverse * dot(yz, by), inverse * dot(cross(z, x), by), inverse * dot(cross(x, y), by)};
+}
+
+}  // namespace physkin

@@ -1,0 +1,96 @@
+// Keeps cloth out of the skin: all of a garment, whatever of the body is beneath it or presses on it.
+//
+// Samples of the cloth, one for each detail node, are looked up on the skin by the facing rule
+// (kernels/contact_kernel.hpp). Where they lack much garment nodes move; vertices between such samples are looked up, too;
+// and what all of them then lack moves detail nodes. Vertices, points and other meshes that go with these nodes follow.
+// Nothing is remembered from frame to frame. physkin_core/runtime/contact.py chooses the samples.
+#pragma once
+
+#include "evaluator/affine.hpp"
+#include "evaluator/skin_surface.hpp"
+#include "garment/bound_garment.hpp"
+#include "kernels/arena.hpp"
+#include "kernels/kernels.hpp"
+
+namespace physkin {
+
+class Contact {
+ public:
+  // The data must be valid; they are copied into the arena.
+  Contact(const BoundGarment& garment, const Kernels& kernels, Arena& arena);
+
+  // Moves node_transforms (nodes, 3, 4). Returns offsets of detail nodes (detail nodes, 3) with what they are moved by:
+  // `offsets` itself where nothing is; null without detail. The skin is posed. Allocates nothing.
+  const float* keep_out(const SkinBlocks& skin, float* node_transforms, const float* offsets) noexcept;
+
+  // How far samples, and those between them, are from the skin, (samples + between,) [m]; kNoSkin where none is near.
+  void measure(const SkinBlocks& skin, const float* node_transforms, const float* offsets, float* clearance) noexcept;
+  int measured() const { return samples_ + between_; }
+
+  static constexpr float kNoSkin = 1.0f;
+
+ private:
+  // A vector, and a number.
+  typedef float Four __attribute__((vector_size(16)));
+
+  // What samples go with and are moved by: garment nodes, or detail nodes.
+  struct Movers {
+    int count, each;      // of them, and a sample
+    std::int32_t* nodes;  // (samples and those between, each)
+    float* weights;       // (samples and those between, each)
+    float* slack;         // (count,) by how much samples that lack nothing hold each back
+    Four* moves;          // (count,) [m] in the root frame
+    Four* sums;           // (count,) what samples lack in a pass, as vectors and by how much they count
+
+    // Nodes and weights of more samples, from the `first` one on.
+    void take(const std::int32_t* from, const float* by, int first, int samples, float slack_each);
+    // What moves of nodes (count,) move a sample by.
+    Four moved(int sample, const Four* by) const noexcept;
+  };
+
+  // A sample near the skin: the plane there, how far it is off what it is to keep, and in how far that holds.
+  struct Near {
+    Four normal;
+    int sample;
+    float left, holds;
+  };
+
+  Movers movers(int count, int each, int samples, Arena& arena);
+  void find_samples_around(Arena& arena);
+  void place(const float* node_transforms, const float* offsets) noexcept;
+  // Looks a block of samples up that has the sides of `block`, and lists those that may lack something.
+  void look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end, float share) noexcept;
+  float lack_of(const Near& near) const noexcept;
+  // Finds moves for what samples lack beyond what they may. Whether anything had to be moved.
+  bool move(Movers& movers, float may) noexcept;
+  void move_garment_nodes(float* node_transforms) noexcept;
+  // Looks up what lies between samples that lack something.
+  void look_between(const SkinBlocks& skin) noexcept;
+  // Where samples of a block between others are, (6, kBlock) into `between_columns_`.
+  void place_between(int block) noexcept;
+  // At rest, what moves a detail node `by` in the root frame.
+  Vector3 turned_back(int detail_node, Vector3 by) const noexcept;
+
+  const Kernels& kernels_;
+  int node_count_, detail_count_, samples_, between_;
+  SkinningBlocks blocks_;
+  int skin_rooms_;
+  const std::int16_t* sides_;         // (blocks, skin rooms)
+  const float* gaps_;                 // (samples and those between,) [m]
+  const float* heights_;              // (between,) [m]
+  const std::int32_t* block_of_;      // (blocks between,) whose sides are theirs
+  const std::int32_t* around_start_;  // (blocks between + 1,) into the next
+  const std::int32_t* around_;        // samples that lie around a block
+  const float* node_rest_;            // (nodes, 3)
+  float *matrices_, *columns_;        // (nodes, 3, 4), and (blocks, 6, kBlock) where they put samples
+  float *between_columns_, *planes_;
+  ContactRoom room_;
+  Movers garment_nodes_, detail_nodes_;
+  const std::int32_t* sample_of_;  // (detail nodes,) the one that goes with each most
+  float* lacks_;                   // (samples,) [m]
+  Near* near_;                     // near_count_ of them
+  int near_count_ = 0;
+  float* offsets_;  // (detail nodes, 3)
+};
+
+}  // namespace physkin

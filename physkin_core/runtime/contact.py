@@ -1,0 +1,261 @@
+"""What keeps cloth out of the skin: the skin as points that follow the bones, and samples of the cloth.
+
+On every frame native/src/evaluator/contact.cpp looks samples up on the skin and moves garment nodes and detail nodes as
+far as samples lack. Here skin and samples are chosen and put into blocks, which are looked up together, and it is told
+for each two blocks which side the skin is on: beneath the cloth, or, as an arm, pressing on it.
+
+Dimensions: `V` body vertices, `q` points of skin, `n` garment vertices, `s` samples, `k` parts of the body. Metres,
+canonical pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from physkin_core.avatar.avatar import Avatar
+from physkin_core.body_shape.limb_chains import find_limbs
+from physkin_core.model.garment import face_areas, vertex_normals
+from physkin_core.model.skinning import unit
+from physkin_core.native_module import as_float32, native
+from physkin_core.rig.rig import Rig
+from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import Evaluator
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
+
+__all__ = ["meeting_skin"]
+
+POINTS = 2000
+"""Of the skin: 3 cm apart."""
+CANDIDATES = 20000
+"""Body vertices, at most, that they are chosen from."""
+SAMPLES = 1024
+"""Of a garment without detail; with detail there is one for each detail node."""
+THICKNESS = 0.02
+"""[m] By which points that face opposite ways count as farther apart: both sides of hands are met."""
+FACING, OTHER_PART = 0.15, 0.3
+"""[m] By which they do in blocks, and by which those of two parts do."""
+CLOTH_FACING = 0.04
+"""[m] The same of samples."""
+GAP = 0.003
+"""[m] Cloth is kept this far from the skin, or as far as it is at rest."""
+JOINED = 0.1
+"""[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
+BENEATH, PRESSES = 1, -1
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Points of the skin in blocks.
+
+    points, normals: (q, 3). bones, weights: (q, K) that they follow. part: (q,) of the body, 0 the trunk; limb `l` has
+    1 + 2 l, and 2 + 2 l from the elbow or knee on.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    bones: np.ndarray
+    weights: np.ndarray
+    part: np.ndarray
+
+
+@dataclass(frozen=True)
+class Parts:
+    """of_bone: (b,) part of the body. limb: (k,) of each part, -1 for the trunk. arm, upper: (k,) whether it is of an
+    arm, and whether it begins at the trunk."""
+
+    of_bone: np.ndarray
+    limb: np.ndarray
+    arm: np.ndarray
+    upper: np.ndarray
+
+
+def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
+    """The fields of `BoundGarment` to replace for it to be kept out of an avatar's skin."""
+    parts = _parts(rig)
+    skin = _skin(avatar, parts.of_bone)
+    drape = _rested(bound)[1].astype(np.float64)
+    samples, detail_samples = _samples(bound, drape)
+    between = _between(bound, drape, samples)
+    fields = {
+        **_sampled(bound, samples),
+        **_lying_between(bound, drape, between, samples, detail_samples),
+        "skin_positions": as_float32(skin.points),
+        "skin_normals": as_float32(skin.normals),
+        "skin_bones": np.ascontiguousarray(skin.bones, dtype=np.int32),
+        "skin_weights": as_float32(skin.weights),
+        "contact_sides": _sides(*np.split(drape[samples], 2, axis=1), skin, parts),
+        "contact_gaps": np.full(len(samples), -1.0, dtype=np.float32),
+        "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
+    }
+    gaps = np.clip(_rested(replace(bound, **fields))[0].clearance(), 0, GAP)
+    return {**fields, "contact_gaps": gaps[: len(samples)], "between_gaps": gaps[len(samples) :]}
+
+
+def _parts(rig: Rig) -> Parts:
+    """All one where no limbs are found."""
+    try:
+        limbs = find_limbs(rig).limbs
+    except ValueError:
+        limbs = ()
+    starts = {bone: 1 + 2 * k + end for k, limb in enumerate(limbs) for end, bone in enumerate(limb.ends[:2])}
+    return Parts(
+        of_bone=np.asarray(rig.inherited(starts, 0)),
+        limb=np.array([-1, *np.repeat(np.arange(len(limbs)), 2)]),
+        arm=np.array([False, *np.repeat([limb.is_arm for limb in limbs], 2)], dtype=bool),
+        upper=np.array([False, *[True, False] * len(limbs)]),
+    )
+
+
+def _skin(avatar: Avatar, part_of_bone: np.ndarray) -> Skin:
+    """Points far from each other, with the normal of the skin around each."""
+    from scipy.spatial import cKDTree
+
+    vertices, normals = avatar.vertices.astype(np.float64), vertex_normals(avatar.vertices, avatar.faces)
+    areas = np.bincount(avatar.faces.reshape(-1), np.repeat(face_areas(vertices, avatar.faces) / 3, 3), len(vertices))
+    used = np.flatnonzero(areas > 0)
+    if len(used) > CANDIDATES:
+        share = areas[used] / areas[used].sum()
+        used = np.sort(np.random.default_rng(0).choice(used, CANDIDATES, replace=False, p=share))
+    tagged = np.concatenate([vertices, THICKNESS * normals], axis=1)
+    block: int = native.constants["skin_block"]
+    count = min(POINTS, len(used)) // block * block
+    chosen = used[_spread(tagged[used], count)]
+    cell = cKDTree(tagged[chosen]).query(tagged[used])[1]
+    around = np.stack([np.bincount(cell, areas[used] * normals[used, axis], count) for axis in range(3)], axis=1)
+    around = unit(around)
+    own = (around * normals[chosen]).sum(axis=1) < 0.2  # of a fold: that of its own
+    around[own] = normals[chosen][own]
+    part = part_of_bone[avatar.influence_bones[chosen, avatar.influence_weights[chosen].argmax(axis=1)]]
+    order = _in_blocks(
+        np.concatenate([vertices[chosen], FACING * around, OTHER_PART * part[:, None]], axis=1), block
+    )
+    chosen = chosen[order]
+    return Skin(
+        vertices[chosen], around[order], avatar.influence_bones[chosen], avatar.influence_weights[chosen], part[order]
+    )
+
+
+def _spread(points: np.ndarray, count: int) -> np.ndarray:
+    """`count` of the points (V, D), each the farthest from those chosen before."""
+    square = (points**2).sum(axis=1)
+    distance = np.full(len(points), np.inf)
+    chosen = np.zeros(count, dtype=np.intp)
+    for k in range(1, count):
+        last = chosen[k - 1]
+        np.minimum(distance, square - 2 * (points @ points[last]) + square[last], out=distance)
+        chosen[k] = distance.argmax()
+    return chosen
+
+
+def _in_blocks(points: np.ndarray, size: int) -> np.ndarray:
+    """An order of points (V, D) in which whole blocks lie together: halved along their longest side, and again."""
+
+    def halved(chosen: np.ndarray) -> list[np.ndarray]:
+        if len(chosen) <= size:
+            return [chosen]
+        at = points[chosen]
+        ordered = chosen[at[:, np.ptp(at, axis=0).argmax()].argsort(kind="stable")]
+        half = (len(ordered) // 2 + size - 1) // size * size
+        return [*halved(ordered[:half]), *halved(ordered[half:])]
+
+    return np.concatenate(halved(np.arange(len(points))))
+
+
+def _rested(bound: BoundGarment) -> tuple[Evaluator, np.ndarray]:
+    evaluator, frame_input = Evaluator([bound], precision="fp32"), FrameInput(1)
+    frame_input.fill(UPRIGHT_GRAVITY)
+    out = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    evaluator.evaluate(bound.dof_rest, frame_input.rows, [out])
+    return evaluator, out
+
+
+def _samples(bound: BoundGarment, drape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (s,) in blocks, for each detail node the one that goes with it most; and which of them (D,) that is."""
+    detail_nodes = len(bound.detail_offsets) // 3 if len(bound.detail_nodes) else 0
+    if detail_nodes:
+        nodes, weights = bound.detail_nodes.reshape(-1), bound.detail_weights.reshape(-1)
+        order = np.lexsort([weights, nodes])
+        last = np.searchsorted(nodes[order], np.arange(detail_nodes), side="right") - 1
+        of_nodes = order[last] // bound.detail_nodes.shape[1]
+        chosen, back = np.unique(of_nodes, return_inverse=True)
+    else:
+        chosen, back = _spread(drape[:, :3], min(SAMPLES, len(drape))), np.empty(0, dtype=np.intp)
+    order = _blocks_of_cloth(drape[chosen])
+    return chosen[order], order.argsort()[back]
+
+
+def _blocks_of_cloth(drape: np.ndarray) -> np.ndarray:
+    return _in_blocks(drape * [1, 1, 1, *[CLOTH_FACING] * 3], native.constants["block"])
+
+
+def _between(bound: BoundGarment, drape: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Vertices (t,) in blocks: all others of a garment with detail."""
+    if not len(bound.detail_nodes):
+        return np.empty(0, dtype=np.intp)
+    left = np.setdiff1d(np.arange(len(drape)), samples)
+    return left[_blocks_of_cloth(drape[left])]
+
+
+def _lying_between(
+    bound: BoundGarment, drape: np.ndarray, between: np.ndarray, samples: np.ndarray, detail_samples: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Fields between_... of `BoundGarment`: vertices (t,), by the samples that their detail nodes have."""
+    from scipy.spatial import cKDTree
+
+    if not len(between):
+        return {}
+    nodes, weights = bound.detail_nodes[between], bound.detail_weights[between]
+    mean = np.einsum("tj,tji->ti", weights, drape[samples][detail_samples[nodes]])
+    normals = mean[:, 3:]
+    heights = ((drape[between, :3] - mean[:, :3]) * normals).sum(axis=1) / np.maximum((normals**2).sum(axis=1), 0.1)
+    size: int = native.constants["block"]
+    of_samples = cKDTree(drape[samples] * [1, 1, 1, *[CLOTH_FACING] * 3])
+    near = of_samples.query(drape[between] * [1, 1, 1, *[CLOTH_FACING] * 3])[1] // size
+    return {
+        "between_nodes": np.ascontiguousarray(nodes),
+        "between_weights": as_float32(weights),
+        "between_heights": as_float32(heights),
+        "between_blocks": np.array(
+            [np.bincount(near[k : k + size]).argmax() for k in range(0, len(between), size)], dtype=np.int32
+        ),
+    }
+
+
+def _sampled(bound: BoundGarment, samples: np.ndarray) -> dict[str, np.ndarray]:
+    """What samples (s,) among vertices are skinned with."""
+    fields = {
+        name: getattr(bound, name)[samples]
+        for name in ("vertices", "normals", "influence_nodes", "influence_weights")
+    }
+    for name in ("detail_nodes", "detail_weights"):
+        of_vertices = getattr(bound, name)
+        none = np.empty((len(samples), 0), dtype=of_vertices.dtype)
+        fields[name] = of_vertices[samples] if len(of_vertices) else none
+    return {f"contact_{name}": np.ascontiguousarray(values) for name, values in fields.items()}
+
+
+def _sides(draped: np.ndarray, normals: np.ndarray, skin: Skin, parts: Parts) -> np.ndarray:
+    """(blocks of samples, blocks of skin) int32: which side of the cloth the skin is on.
+
+    Sleeves are pressed on by all that is not their arm, other cloth by arms. draped, normals: (s, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    size, skin_size = native.constants["block"], native.constants["skin_block"]
+    first = np.arange(0, len(draped), size)
+    home = skin.part[cKDTree(skin.points).query(draped)[1]]
+    of_block = np.array([np.bincount(home[k : k + size]).argmax() for k in first])
+    middle, facing = (
+        np.add.reduceat(of, first) / np.diff(first, append=len(of))[:, None] for of in (draped, normals)
+    )
+    of_skin = skin.part[::skin_size]
+    skin_middle, skin_facing = (of.reshape(-1, skin_size, 3).mean(axis=1) for of in (skin.points, skin.normals))
+    a, b = np.meshgrid(of_block, of_skin, indexing="ij")
+    same = parts.limb[a] == parts.limb[b]
+    sides = np.where(same | ~(parts.arm[a] | parts.arm[b]), BENEATH, PRESSES)
+    near = np.linalg.norm(middle[:, None] - skin_middle, axis=2) < JOINED
+    at_shoulder = (parts.arm[a] & (b == 0)) | ((a == 0) & parts.arm[b] & parts.upper[b])
+    return np.where(near & (facing @ skin_facing.T > 0) & at_shoulder, BENEATH, sides).astype(np.int32)
