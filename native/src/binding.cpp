@@ -119,6 +119,7 @@ nb::dict constants() {
   d["bound_file_version"] = kBoundFileVersion;
   d["block"] = kBlock;
   d["skin_block"] = kSkinBlock;
+  d["soft"] = Contact::kSoft;
   d["turns"] = kTurns;
   d["beside"] = kBeside;
   return d;

@@ -11,6 +11,7 @@ canonical pose.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,9 @@ GAP = 0.003
 """[m] Cloth is kept this far from the skin, or as far as it is at rest."""
 JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
+SLIDES = 0.1
+"""[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it; skin farther off never meets
+it."""
 BENEATH, PRESSES = 1, -1
 
 
@@ -79,6 +83,8 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
     drape = _rested(bound)[1].astype(np.float64)
     samples, detail_samples = _samples(bound, drape)
     between = _between(bound, drape, samples)
+    sides = _sides(*np.split(drape[samples], 2, axis=1), skin, parts)
+    skin, sides = _met(skin, sides)
     fields = {
         **_sampled(bound, samples),
         **_lying_between(bound, drape, between, samples, detail_samples),
@@ -86,12 +92,20 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "skin_normals": as_float32(skin.normals),
         "skin_bones": np.ascontiguousarray(skin.bones, dtype=np.int32),
         "skin_weights": as_float32(skin.weights),
-        "contact_sides": _sides(*np.split(drape[samples], 2, axis=1), skin, parts),
+        "contact_sides": sides,
         "contact_gaps": np.full(len(samples), -1.0, dtype=np.float32),
         "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
     }
-    gaps = np.clip(_rested(replace(bound, **fields))[0].clearance(), 0, GAP)
+    gaps = np.clip(_rested(replace(bound, **fields))[0].clearance() - native.constants["soft"], 0, GAP)
     return {**fields, "contact_gaps": gaps[: len(samples)], "between_gaps": gaps[len(samples) :]}
+
+
+def _met(skin: Skin, sides: np.ndarray) -> tuple[Skin, np.ndarray]:
+    """Without blocks that no cloth ever meets."""
+    met = sides.any(axis=0)
+    points = np.repeat(met, native.constants["skin_block"])
+    kept = Skin(*(getattr(skin, each.name)[points] for each in dataclass_fields(skin)))
+    return kept, np.ascontiguousarray(sides[:, met])
 
 
 def _parts(rig: Rig) -> Parts:
@@ -119,6 +133,8 @@ def _skin(avatar: Avatar, part_of_bone: np.ndarray) -> Skin:
     if len(used) > CANDIDATES:
         share = areas[used] / areas[used].sum()
         used = np.sort(np.random.default_rng(0).choice(used, CANDIDATES, replace=False, p=share))
+    strongest = avatar.influence_weights.argmax(axis=1)
+    part = part_of_bone[avatar.influence_bones[np.arange(len(vertices)), strongest]]
     tagged = np.concatenate([vertices, THICKNESS * normals], axis=1)
     block: int = native.constants["skin_block"]
     count = min(POINTS, len(used)) // block * block
@@ -128,14 +144,12 @@ def _skin(avatar: Avatar, part_of_bone: np.ndarray) -> Skin:
     around = unit(around)
     own = (around * normals[chosen]).sum(axis=1) < 0.2  # of a fold: that of its own
     around[own] = normals[chosen][own]
-    part = part_of_bone[avatar.influence_bones[chosen, avatar.influence_weights[chosen].argmax(axis=1)]]
     order = _in_blocks(
-        np.concatenate([vertices[chosen], FACING * around, OTHER_PART * part[:, None]], axis=1), block
+        np.concatenate([vertices[chosen], FACING * around, OTHER_PART * part[chosen, None]], axis=1), block
     )
     chosen = chosen[order]
-    return Skin(
-        vertices[chosen], around[order], avatar.influence_bones[chosen], avatar.influence_weights[chosen], part[order]
-    )
+    bones, weights = avatar.influence_bones[chosen], avatar.influence_weights[chosen]
+    return Skin(vertices[chosen], around[order], bones, weights, part[chosen])
 
 
 def _spread(points: np.ndarray, count: int) -> np.ndarray:
@@ -227,8 +241,7 @@ def _lying_between(
 def _sampled(bound: BoundGarment, samples: np.ndarray) -> dict[str, np.ndarray]:
     """What samples (s,) among vertices are skinned with."""
     fields = {
-        name: getattr(bound, name)[samples]
-        for name in ("vertices", "normals", "influence_nodes", "influence_weights")
+        name: getattr(bound, name)[samples] for name in ("vertices", "normals", "influence_nodes", "influence_weights")
     }
     for name in ("detail_nodes", "detail_weights"):
         of_vertices = getattr(bound, name)
@@ -246,11 +259,10 @@ def _sides(draped: np.ndarray, normals: np.ndarray, skin: Skin, parts: Parts) ->
 
     size, skin_size = native.constants["block"], native.constants["skin_block"]
     first = np.arange(0, len(draped), size)
-    home = skin.part[cKDTree(skin.points).query(draped)[1]]
+    free, nearest = cKDTree(skin.points).query(draped)
+    home = skin.part[nearest]
     of_block = np.array([np.bincount(home[k : k + size]).argmax() for k in first])
-    middle, facing = (
-        np.add.reduceat(of, first) / np.diff(first, append=len(of))[:, None] for of in (draped, normals)
-    )
+    middle, facing = (np.add.reduceat(of, first) / np.diff(first, append=len(of))[:, None] for of in (draped, normals))
     of_skin = skin.part[::skin_size]
     skin_middle, skin_facing = (of.reshape(-1, skin_size, 3).mean(axis=1) for of in (skin.points, skin.normals))
     a, b = np.meshgrid(of_block, of_skin, indexing="ij")
@@ -258,4 +270,7 @@ def _sides(draped: np.ndarray, normals: np.ndarray, skin: Skin, parts: Parts) ->
     sides = np.where(same | ~(parts.arm[a] | parts.arm[b]), BENEATH, PRESSES)
     near = np.linalg.norm(middle[:, None] - skin_middle, axis=2) < JOINED
     at_shoulder = (parts.arm[a] & (b == 0)) | ((a == 0) & parts.arm[b] & parts.upper[b])
-    return np.where(near & (facing @ skin_facing.T > 0) & at_shoulder, BENEATH, sides).astype(np.int32)
+    sides = np.where(near & (facing @ skin_facing.T > 0) & at_shoulder, BENEATH, sides)
+    apart = np.linalg.norm(draped[:, None] - skin_middle, axis=2) - 3 * free[:, None]
+    meets = np.minimum.reduceat(apart, first) < SLIDES
+    return np.where(meets | (sides == PRESSES), sides, 0).astype(np.int32)

@@ -10,14 +10,10 @@
 namespace physkin {
 namespace {
 
-// [m] Cloth is moved by what it lacks, from this much before it must, so that it begins without a kink.
-constexpr float kSoft = 0.002f;
-// [m] Samples this much farther off than they must be may lack something when others are moved.
-constexpr float kBesides = 0.004f;
 // [m] Garment nodes move where samples lack more than this; detail nodes do the rest.
-constexpr float kLeft = 0.004f;
+constexpr float kLeft = 0.008f;
 // [m] What lies between samples is looked at where one lacks so much, and counts in full where it lacks twice as much.
-constexpr float kLooks = 0.002f;
+constexpr float kLooks = 0.003f;
 // [m] What samples that lack nothing hold a node back as if they lacked: of garment nodes, and of detail nodes.
 constexpr float kNodeSlack = 0.001f, kDetailSlack = 0.0003f;
 // What a sample lacks is its nodes' part only: the second time sees what the first has left.
@@ -69,6 +65,7 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
       garment_nodes_(movers(g.nodes, g.contact.influences, samples_, arena)),
       detail_nodes_(movers(detail_count_, g.contact.detail_influences, samples_ + between_, arena)),
       lacks_(arena.take<float>(std::size_t(samples_))),
+      posed_(arena.take<Four>(2 * std::size_t(samples_))),
       near_(arena.take<Near>(std::size_t(samples_ + between_))),
       offsets_(arena.take<float>(3 * std::size_t(detail_count_))) {
   const int skin_blocks = g.skin_points / kSkinBlock;
@@ -168,6 +165,7 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
     read(kernels_.meet_skin(skin, columns_ + 6 * first, sides, room_, planes_), first,
          std::min(first + kBlock, samples_));
   }
+  gather_samples();
   for (int first = 0; first < between_; first += kBlock) {
     place_between(first / kBlock);
     const std::int16_t* sides = sides_ + std::ptrdiff_t(block_of_[first / kBlock]) * skin_rooms_;
@@ -187,7 +185,7 @@ void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, i
   for (int sample = first; sample < end; ++sample) {
     const float* plane = planes_ + sample - first;
     const float left = plane[0] - gaps_[sample] - kSoft, holds = share * plane[4 * kBlock];
-    if (!(holds > 0) || !(left < kBesides)) continue;
+    if (!(holds > 0) || !(left < 0)) continue;
     near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, left, holds};
   }
 }
@@ -222,7 +220,7 @@ bool Contact::move(Movers& movers, float may) noexcept {
       sum *= 1 / (sum[3] + movers.slack[node]);
       movers.moves[node] += sum;
     }
-    for (int k = 0; k < near_count_; ++k) {
+    for (int k = 0; k < near_count_ && (pass + 1 < kPasses || &movers == &garment_nodes_); ++k) {
       Near& near = near_[k];
       const Four by = near.normal * movers.moved(near.sample, movers.sums);
       near.left += by[0] + by[1] + by[2];
@@ -250,8 +248,14 @@ void Contact::move_garment_nodes(float* node_transforms) noexcept {
 
 void Contact::look_between(const SkinBlocks& skin) noexcept {
   if (between_ == 0) return;
+  float most_lacking = 0;
   std::fill_n(lacks_, samples_, 0.0f);
-  for (int k = 0; k < near_count_; ++k) lacks_[near_[k].sample] = lack_of(near_[k]);
+  for (int k = 0; k < near_count_; ++k) {
+    const float lack = lacks_[near_[k].sample] = lack_of(near_[k]);
+    most_lacking = std::max(most_lacking, lack);
+  }
+  if (!(most_lacking > kLooks)) return;
+  gather_samples();
   for (int first = 0; first < between_; first += kBlock) {
     const int block = first / kBlock;
     float most = 0;
@@ -263,20 +267,29 @@ void Contact::look_between(const SkinBlocks& skin) noexcept {
   }
 }
 
+void Contact::gather_samples() noexcept {
+  for (int sample = 0; sample < samples_; ++sample) {
+    const float* from = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
+    posed_[2 * sample] = Four{from[0], from[kBlock], from[2 * kBlock], 0};
+    posed_[2 * sample + 1] = Four{from[3 * kBlock], from[4 * kBlock], from[5 * kBlock], 0};
+  }
+}
+
 // Detail nodes give way to each other linearly, and so do the samples that go with them.
 void Contact::place_between(int block) noexcept {
   const int first = kBlock * block, each = detail_nodes_.each;
   for (int lane = 0; lane < kBlock; ++lane) {
     const int s = std::min(first + lane, between_ - 1);
-    float sum[6] = {};
-    for (int at = each * (samples_ + s); at < each * (samples_ + s + 1); ++at) {
-      const int sample = sample_of_[detail_nodes_.nodes[at]];
-      const float* from = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
-      for (int c = 0; c < 6; ++c) sum[c] += detail_nodes_.weights[at] * from[c * kBlock];
+    Four at{}, normal{};
+    for (int k = each * (samples_ + s); k < each * (samples_ + s + 1); ++k) {
+      const Four* sample = posed_ + 2 * sample_of_[detail_nodes_.nodes[k]];
+      at += detail_nodes_.weights[k] * sample[0];
+      normal += detail_nodes_.weights[k] * sample[1];
     }
+    at += heights_[s] * normal;
     for (int c = 0; c < 3; ++c) {
-      between_columns_[c * kBlock + lane] = sum[c] + heights_[s] * sum[3 + c];
-      between_columns_[(3 + c) * kBlock + lane] = sum[3 + c];
+      between_columns_[c * kBlock + lane] = at[c];
+      between_columns_[(3 + c) * kBlock + lane] = normal[c];
     }
   }
 }

@@ -28,6 +28,8 @@ class Contact {
   int measured() const { return samples_ + between_; }
 
   static constexpr float kNoSkin = 1.0f;
+  // [m] Cloth is moved by what it lacks, from this much before it must, so that it begins without a kink.
+  static constexpr float kSoft = 0.002f;
 
  private:
   // A vector, and a number.
@@ -66,6 +68,8 @@ class Contact {
   void move_garment_nodes(float* node_transforms) noexcept;
   // Looks up what lies between samples that lack something.
   void look_between(const SkinBlocks& skin) noexcept;
+  // Rows of the samples' columns.
+  void gather_samples() noexcept;
   // Where samples of a block between others are, (6, kBlock) into `between_columns_`.
   void place_between(int block) noexcept;
   // At rest, what moves a detail node `by` in the root frame.
@@ -88,6 +92,7 @@ class Contact {
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;  // (detail nodes,) the one that goes with each most
   float* lacks_;                   // (samples,) [m]
+  Four* posed_;                    // (samples, 2) where they are, and their normals
   Near* near_;                     // near_count_ of them
   int near_count_ = 0;
   float* offsets_;  // (detail nodes, 3)

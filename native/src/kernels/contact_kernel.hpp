@@ -93,6 +93,8 @@ inline int blocks_near(const SkinBlocks& skin, const std::int16_t* sides, const 
   int count = 0;
   bool free = true;
   for (int first = 0; first < skin.count; first += kLanes) {
+    const Floats side = widened(sides + first);
+    if (!any(side != 0.0f)) continue;
     const float* middle = skin.middles + 6 * kBlock * (first / kBlock) + first % kBlock;
     const Floats x = cloth.middle[0] - load(middle), y = cloth.middle[1] - load(middle + kBlock);
     const Floats z = cloth.middle[2] - load(middle + 2 * kBlock);
@@ -180,19 +182,24 @@ inline bool meet_skin(const SkinBlocks& skin, const float* cloth_columns, const 
     float* squares = room.squares;
     for (int k = 0; k < count; ++k) {
       const float* point = points_of(skin, room.blocks[k]);
-      const Floats turned = load(room.turned + k * kBlock + v * kLanes);
+      float* of_block = room.turned + k * kBlock + v * kLanes;
+      const Floats turned = load(of_block);
+      Floats nearest = Floats{} + kFar;
       for (int i = 0; i < kSkinBlock; ++i, ++point, squares += kLanes) {
         const Floats square = square_from(cloth, v, point) + turned;
         store(squares, square);
-        least = smaller_of(least, square);
+        nearest = smaller_of(nearest, square);
       }
+      store(of_block, nearest);
+      least = smaller_of(least, nearest);
     }
 
-    const Floats per = 1.0f / (kContactBlend * kContactBlend + 0.2f * least);
+    const Floats within = kContactBlend * kContactBlend + 0.2f * least, per = 1.0f / within;
     Floats shares = {}, off = {}, apart = {}, normal[3] = {};
-    squares = room.squares;
     for (int k = 0; k < count; ++k) {
+      if (!any(load(room.turned + k * kBlock + v * kLanes) - least < within)) continue;
       const float* point = points_of(skin, room.blocks[k]);
+      squares = room.squares + k * kSkinBlock * kLanes;
       for (int i = 0; i < kSkinBlock; ++i, ++point, squares += kLanes) {
         const Floats near = 1.0f - (load(squares) - least) * per;
         if (!any(near > 0.0f)) continue;
