@@ -1,1 +1,1 @@
-"""What a body is shaped like: its limbs, its skin by part, and parts of it as smooth surfaces."""
+"""What a body is shaped like: its limbs, its skin by part, and its trunk as a smooth surface."""

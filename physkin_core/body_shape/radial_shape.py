@@ -1,4 +1,4 @@
-"""A part of the body as a smooth surface: a radius about an axis (the trunk's is vertical), by height and direction.
+"""The trunk of a body as a smooth surface: a radius about a vertical axis, by height and direction.
 
 Quadratic B-splines of height times a Fourier series of direction, fitted to the skin. Unlike capsules it follows
 bellies, waists and hips, and its slope is continuous. Above and below it narrows as cones do.

@@ -99,7 +99,7 @@ def bind_garment(
         **_of_body(trained, worn.seen, fit),
         sway_thighs=np.array(_holding_sway_back(model), dtype=np.int32),
     )
-    with draping(model, avatar):  # whatever it is made of, room and guard are those of the cloth as trained
+    with draping(model, avatar):  # whatever it is made of, room and contact are those of the cloth as trained
         bound = _clear_of_skin(bound, model, avatar, worn, elsewhere)
         bound = replace(bound, **meeting_skin(bound, avatar, rig))
     return bound if model is trained else replace(bound, **_of_body(model, worn.seen, fit))

@@ -100,8 +100,8 @@ class BoundGarment(SkinningData):
     between_blocks: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     @property
-    def unguarded(self) -> BoundGarment:
-        """The same, not kept out of the skin: as the networks alone drape it."""
+    def without_contact(self) -> BoundGarment:
+        """The same, but not kept out of the skin: as the networks alone drape it."""
         contact = [each for each in fields(self) if each.name.startswith(("contact_", "between_", "skin_"))]
         return replace(self, **{each.name: each.default_factory() for each in contact})
 

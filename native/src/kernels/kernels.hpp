@@ -93,16 +93,16 @@ struct DenseCall {
 
 using DenseKernel = void (*)(const PackedLayer& layer, Activation activation, const DenseCall& call);
 
-// A body's trunk, or a leg: a radius about an axis, by height along it, in quadratic B-splines, and direction, a Fourier series;
-// its bones take over from each other with height, from the first one up.
+// A body's trunk, of limb separation: a radius about an axis, by height along it, in quadratic B-splines, and direction, a
+// Fourier series; its bones take over from each other with height, from the first one up.
 constexpr int kTrunkWaves = 9, kTrunkPoints = 16;
 
 struct TrunkField {
   int bones = 0, splines = 0;
   float x = 0, y = 0, low = 0, high = 0, blend = 0;  // where the axis is, between which heights, and over how much
-  const float* back = nullptr;          // (bones, 3, 4) from the posed point to the canonical one, in axes of its own
-  const float* heights = nullptr;       // (bones,) that a bone takes over at
-  const float* coefficients = nullptr;  // (splines, kTrunkWaves)
+  const float* back = nullptr;                       // (bones, 3, 4) from the posed point to the canonical one
+  const float* heights = nullptr;                    // (bones,) that a bone takes over at
+  const float* coefficients = nullptr;               // (splines, kTrunkWaves)
 };
 
 // Points of the skin with normals, in blocks that lie together and face alike. Posed; arrays are aligned.

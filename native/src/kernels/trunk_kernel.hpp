@@ -1,5 +1,5 @@
-// How deep points are in a body's trunk, or a leg. Included by kernel_unit.cpp only (see simd.hpp).
-// physkin_core/body_shape/radial_shape.py fits it.
+// How deep points are in a body's trunk, which limb separation keeps limbs out of. Included by kernel_unit.cpp only (see
+// simd.hpp). physkin_core/body_shape/radial_shape.py fits it.
 #pragma once
 
 #include "kernels/kernels.hpp"

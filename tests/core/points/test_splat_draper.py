@@ -26,9 +26,9 @@ BODY = load_body_model()
 ROUND = np.array([0.004, 0.004, 0.004])
 
 
-def unguarded(draper):
-    """The same without what points lack: detail nodes that move off the skin after all others."""
-    draper.outfit = draper.outfit.with_bound_garment(0, draper.layer.bound_visible.unguarded)
+def without_contact(draper):
+    """The same without contact, which points do not have: it moves detail nodes after all others."""
+    draper.outfit = draper.outfit.with_bound_garment(0, draper.layer.bound_visible.without_contact)
     return draper
 
 
@@ -72,7 +72,7 @@ def test_splats_follow_the_garment_nodes_of_a_drape(tshirt, avatar, worn, poses)
 
 def test_centres_on_vertices_are_the_drape(tshirt, avatar, poses):
     """Of a garment made to measure, too: centres are carried to the rest shape that is worn."""
-    worn = unguarded(Draper(tshirt, avatar))
+    worn = without_contact(Draper(tshirt, avatar))
     skinner = SplatSkinner(bind_splats(worn.layer, splats_at(tshirt.garment.vertices)))
     for pose in poses:
         cloth = worn.drape(*pose)[:, :3]
@@ -83,7 +83,7 @@ def test_centres_go_with_detail(tshirt, avatar, poses):
     """As the garment's vertices, where it is in the same precision."""
     width = len(tshirt.node_deformer[-2][1])
     detail = random_detail(np.random.default_rng(2), tshirt.garment, 60, width=width, offset=0.004)
-    worn = unguarded(Draper(replace(tshirt, detail=detail), avatar, precision="bf16"))
+    worn = without_contact(Draper(replace(tshirt, detail=detail), avatar, precision="bf16"))
     bound = bind_splats(worn.layer, splats_at(tshirt.garment.vertices))
     same, other = SplatSkinner(bound, precision="bf16"), SplatSkinner(bound, precision="fp32")
     cloth = worn.drape(*poses[1])[:, :3]

@@ -76,10 +76,14 @@ def test_it_sways_by_the_network_alone(plain, swaying):
 
 def test_cloth_that_lies_on_a_raised_thigh_sways_no_longer(plain, swaying):
     """But it hangs from the knees of one who sits."""
-    rig, bound = plain.model.rig, bound_to(swaying, plain).bound.unguarded
+    rig, bound = plain.model.rig, bound_to(swaying, plain).bound.without_contact
     thighs = np.array([k for k, name in enumerate(rig.bone_names) if name.startswith("upperleg01")], dtype=np.int32)
     lying, free, still = (copy(plain) for _ in range(3))
-    for draper, worn in ((lying, replace(bound, sway_thighs=thighs)), (free, bound), (still, plain.bound.unguarded)):
+    for draper, worn in (
+        (lying, replace(bound, sway_thighs=thighs)),
+        (free, bound),
+        (still, plain.bound.without_contact),
+    ):
         draper.outfit = draper.outfit.with_bound_garment(0, worn)
     left = []
     for left_thigh, right_thigh in ((0, 0), (20, 0), (45, 0), (70, 0), (70, 70)):
@@ -112,7 +116,7 @@ def test_without_time_or_sway_it_is_the_drape_bit_for_bit(plain, swaying):
 def test_half_the_sway_is_half_the_offsets(plain, swaying):
     """But where cloth meets a leg."""
     exact = physkin.Draper(plain.model, plain.avatar, precision="fp32")
-    free = bound_to(swaying, exact).layer.bound_visible.unguarded
+    free = bound_to(swaying, exact).layer.bound_visible.without_contact
     whole, half = (bound_to(swaying, exact).outfit.with_bound_garment(0, free) for _ in range(2))
     half.sway = 0.5
     for positions, told in walking(4):

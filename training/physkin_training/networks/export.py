@@ -179,8 +179,8 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8) -> Agreement
     distances = []
     fits = (0.0, 1.0)
     drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
-    for draper in drapers:  # torch knows nothing of the guard
-        draper.outfit = draper.outfit.with_bound_garment(0, draper.bound.unguarded)
+    for draper in drapers:  # torch does not compute contact with the skin
+        draper.outfit = draper.outfit.with_bound_garment(0, draper.bound.without_contact)
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
