@@ -36,8 +36,8 @@ SAMPLES = 1024
 """Of a garment without detail; with detail there is one for each detail node."""
 THICKNESS = 0.02
 """[m] By which points that face opposite ways count as farther apart: both sides of hands are met."""
-FACING, OTHER_PART = 0.15, 0.3
-"""[m] By which they do in blocks, and by which those of two parts do."""
+FACING = 0.15
+"""[m] By which they do in blocks, each of one part of the body."""
 CLOTH_FACING = 0.04
 """[m] The same of samples."""
 GAP = 0.003
@@ -45,8 +45,8 @@ GAP = 0.003
 JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
 SLIDES = 0.1
-"""[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it; skin farther off never meets
-it."""
+"""[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: skin that is farther off it
+never meets."""
 BENEATH, PRESSES = 1, -1
 
 
@@ -137,16 +137,17 @@ def _skin(avatar: Avatar, part_of_bone: np.ndarray) -> Skin:
     part = part_of_bone[avatar.influence_bones[np.arange(len(vertices)), strongest]]
     tagged = np.concatenate([vertices, THICKNESS * normals], axis=1)
     block: int = native.constants["skin_block"]
-    count = min(POINTS, len(used)) // block * block
+    count = min(POINTS, len(used))
     chosen = used[_spread(tagged[used], count)]
     cell = cKDTree(tagged[chosen]).query(tagged[used])[1]
     around = np.stack([np.bincount(cell, areas[used] * normals[used, axis], count) for axis in range(3)], axis=1)
     around = unit(around)
     own = (around * normals[chosen]).sum(axis=1) < 0.2  # of a fold: that of its own
     around[own] = normals[chosen][own]
-    order = _in_blocks(
-        np.concatenate([vertices[chosen], FACING * around, OTHER_PART * part[chosen, None]], axis=1), block
-    )
+    near = np.concatenate([vertices[chosen], FACING * around], axis=1)
+    each_part = (np.flatnonzero(part[chosen] == k) for k in np.unique(part_of_bone))
+    whole = [of_part[: len(of_part) // block * block] for of_part in each_part if len(of_part) >= block]
+    order = np.concatenate([of_part[_in_blocks(near[of_part], block)] for of_part in whole])
     chosen = chosen[order]
     bones, weights = avatar.influence_bones[chosen], avatar.influence_weights[chosen]
     return Skin(vertices[chosen], around[order], bones, weights, part[chosen])
@@ -253,7 +254,8 @@ def _sampled(bound: BoundGarment, samples: np.ndarray) -> dict[str, np.ndarray]:
 def _sides(draped: np.ndarray, normals: np.ndarray, skin: Skin, parts: Parts) -> np.ndarray:
     """(blocks of samples, blocks of skin) int32: which side of the cloth the skin is on.
 
-    Sleeves are pressed on by all that is not their arm, other cloth by arms. draped, normals: (s, 3).
+    Sleeves are pressed on by all that is not their arm, other cloth by arms, and a trouser leg by the other leg that it
+    faces. draped, normals: (s, 3).
     """
     from scipy.spatial import cKDTree
 
@@ -269,8 +271,11 @@ def _sides(draped: np.ndarray, normals: np.ndarray, skin: Skin, parts: Parts) ->
     same = parts.limb[a] == parts.limb[b]
     sides = np.where(same | ~(parts.arm[a] | parts.arm[b]), BENEATH, PRESSES)
     near = np.linalg.norm(middle[:, None] - skin_middle, axis=2) < JOINED
+    facing_alike, outside = facing @ skin_facing.T, np.einsum("bsi,bi->bs", skin_middle - middle[:, None], facing) > 0
+    other_leg = (parts.limb[a] >= 0) & (parts.limb[b] >= 0) & ~same & outside & (facing_alike < 0)
+    sides = np.where(other_leg, PRESSES, sides)
     at_shoulder = (parts.arm[a] & (b == 0)) | ((a == 0) & parts.arm[b] & parts.upper[b])
-    sides = np.where(near & (facing @ skin_facing.T > 0) & at_shoulder, BENEATH, sides)
+    sides = np.where(near & (facing_alike > 0) & at_shoulder, BENEATH, sides)
     apart = np.linalg.norm(draped[:, None] - skin_middle, axis=2) - 3 * free[:, None]
     meets = np.minimum.reduceat(apart, first) < SLIDES
     return np.where(meets | (sides == PRESSES), sides, 0).astype(np.int32)

@@ -136,14 +136,15 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
     look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
   }
   if (near_count_ == 0) return offsets;
-  if (move(garment_nodes_, kLeft)) move_garment_nodes(node_transforms);
+  if (move(garment_nodes_, detail_count_ > 0 ? kLeft : 0.0f)) move_garment_nodes(node_transforms);
   look_between(skin);
   if (!move(detail_nodes_, 0.0f)) return offsets;
   std::copy_n(offsets, 3 * detail_count_, offsets_);
   for (int node = 0; node < detail_count_; ++node) {
     const Four by = detail_nodes_.moves[node];
-    if (by[0] == 0 && by[1] == 0 && by[2] == 0) continue;
-    const Vector3 at_rest = turned_back(node, {by[0], by[1], by[2]});
+    const Vector3 moved{by[0], by[1], by[2]};
+    if (!(dot(moved, moved) > kLeast * kLeast)) continue;
+    const Vector3 at_rest = turned_back(node, moved);
     offsets_[3 * node] += at_rest.x;
     offsets_[3 * node + 1] += at_rest.y;
     offsets_[3 * node + 2] += at_rest.z;

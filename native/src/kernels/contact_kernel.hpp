@@ -98,7 +98,7 @@ inline int blocks_near(const SkinBlocks& skin, const std::int16_t* sides, const 
     const float* middle = skin.middles + 6 * kBlock * (first / kBlock) + first % kBlock;
     const Floats x = cloth.middle[0] - load(middle), y = cloth.middle[1] - load(middle + kBlock);
     const Floats z = cloth.middle[2] - load(middle + 2 * kBlock);
-    const Floats within = load(skin.radii + first) + (cloth.radius + kContactReach);
+    const Floats within = larger_of(load(skin.radii + first) + (cloth.radius + kContactReach), Floats{});
     const Ints reached = x * x + y * y + z * z < within * within;
     if (!any(reached)) continue;
     const Floats nx = load(middle + 3 * kBlock), ny = load(middle + 4 * kBlock), nz = load(middle + 5 * kBlock);
@@ -223,7 +223,8 @@ inline bool meet_skin(const SkinBlocks& skin, const float* cloth_columns, const 
     const Floats held = from_zero_to_one((kAside + kAsideFade - beside) * (1.0f / kAsideFade));
     store(planes + v * kLanes, away);
     for (int c = 0; c < 3; ++c) store(planes + (c + 1) * kBlock + v * kLanes, normal[c] * inverse);
-    store(planes + 4 * kBlock + v * kLanes, from_zero_to_one(fade) * (away < 0.0f ? held : Floats{} + 1.0f));
+    const Floats deep = from_zero_to_one(fade) * (away < 0.0f ? held : Floats{} + 1.0f);
+    store(planes + 4 * kBlock + v * kLanes, (least < kFar) & (shares > 0.0f) ? deep : Floats{});
   }
   return true;
 }
