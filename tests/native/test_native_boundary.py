@@ -28,17 +28,17 @@ def test_a_joint_that_is_not_finite_raises_and_writes_nothing(bad, make_garment,
 
 
 def test_a_frame_that_networks_spoil_leaves_the_last_good_one(make_garment, make_pose):
-    """Garment nodes and features go together: those of two frames make no drape."""
+    """Garment nodes and detail nodes go together: those of two frames make no drape."""
     rng = np.random.default_rng(12)
     garment = make_garment(rng, detail_nodes=9)
     frame, (positions, gravity) = NativeFrame([garment]), make_pose(rng, garment)
     clouds(frame, [garment], positions, told(gravity))
-    nodes, features = frame.node_transforms(), frame.features()
-    assert features.any()
+    nodes, offsets = frame.node_transforms(), frame.detail_offsets()
+    assert offsets.any()
     for huge in (1e30, 3e38):
-        with pytest.raises(ValueError, match="corrections of garment nodes|features"):
+        with pytest.raises(ValueError, match="corrections of garment nodes|detail_offsets"):
             clouds(frame, [garment], positions, told(huge * gravity))
-        assert np.array_equal(frame.node_transforms(), nodes) and np.array_equal(frame.features(), features)
+        assert np.array_equal(frame.node_transforms(), nodes) and np.array_equal(frame.detail_offsets(), offsets)
 
 
 def test_a_vanishing_normal_does_not_make_nan(make_garment, make_pose):

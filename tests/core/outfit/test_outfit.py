@@ -244,10 +244,10 @@ def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
     for outfit, moved in ((over_trousers, (False, True)), (tucked, (True, False))):
         assert tuple(layer.moved for layer in outfit.layers) == moved
         clouds = outfit.drape(positions, gravity)
-        told = outfit.node_transforms(), outfit.features()
-        for layer, nodes, features, cloud, is_moved in zip(outfit.layers, *told, clouds, moved):
+        told = outfit.node_transforms(), outfit.detail_offsets()
+        for layer, nodes, offsets, cloud, is_moved in zip(outfit.layers, *told, clouds, moved):
             points = np.empty_like(cloud)
-            Skinner(layer.bound_visible).skin(nodes, points, features)
+            Skinner(layer.bound_visible).skin(nodes, points, offsets)
             assert (np.abs(points - cloud)[:, :3].max() > 1e-4) == is_moved
     with pytest.raises(IndexError, match="garment 2 of 2"):
         NativeFrame([layer.bound_visible for layer in outfit.layers]).node_transforms(2)
