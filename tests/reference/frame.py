@@ -2,10 +2,9 @@
 
 import numpy as np
 
+from reference.contact import clearance, keep_out
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
-from reference.guard.cloth_dents import dents
-from reference.guard.skin_guard import kept_out
 from reference.layer_order import LayerOrder
 from reference.networks import last_hidden, mlp, silu
 from reference.pace import FeaturePace, Pace
@@ -39,7 +38,7 @@ class ReferenceFrame:
         layers = []
         for garment, row, jumped in zip(self._garments, inputs, jumps):
             nodes = garment.drape(q, row, jumped)
-            positions, normals = skin(garment.bound, nodes, garment.features, garment.dents)
+            positions, normals = skin(garment.bound, nodes, garment.features, garment.added)
             layers.append(np.concatenate([positions, unit(normals)], axis=1))
         for outer in range(len(layers)):
             for steady, yielding, order in self._orders:
@@ -58,6 +57,11 @@ class ReferenceFrame:
     def features(self, garment=0):
         """(F,) what moved the detail nodes of a garment in the last frame; () without detail."""
         return self._garments[garment].features
+
+    def clearance(self, garment=0):
+        """(s + t,) [m] how far a garment was from the skin in the last frame."""
+        of = self._garments[garment]
+        return clearance(of.bound, of.bones, of.nodes, of.features, of.added)
 
     def corrections(self, garment=0):
         """(12 m,) what the networks made of a garment in the last frame."""
@@ -78,7 +82,7 @@ class _Garment:
         bones = bone_transforms(*skeleton, q - bound.dof_rest)
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
         inputs = bones[bound.deformer_bones].reshape(-1)
-        still = self.corrections = mlp(bound.deformer_layers, inputs, modulation)
+        self.corrections = mlp(bound.deformer_layers, inputs, modulation)
         passed, self.features = -1.0 if jumped else row.passed, ()
         for weight, bias in bound.detail_layers:
             wanted = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
@@ -91,7 +95,6 @@ class _Garment:
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
         nodes = correct_nodes(posed, self.corrections)
         nodes = self._pace.kept(posed, nodes, passed)
-        sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
-        self.nodes, still_moved = kept_out(bound, bones, nodes, sway, self.features)
-        self.dents = dents(bound, bones, self.nodes, still_moved, self.features)
+        self.bones = bones
+        self.nodes, self.added = keep_out(bound, bones, nodes, self.features)
         return self.nodes
