@@ -302,7 +302,7 @@ def random_contact(
     """Fields by which a garment is kept out of patches of skin, each near the cloth (n, 6) of the canonical pose and on
     `bones` random bones: every second vertex is a sample, of a garment with detail the others lie between them."""
     size, block = native.constants["block"], native.constants["skin_block"]
-    middles = cloth[rng.integers(len(cloth), size=skin_blocks)]
+    middles = cloth[::2][rng.integers(-(-len(cloth) // 2), size=skin_blocks)]
     facing = np.repeat(rng.choice([-1, 1], size=(skin_blocks, 1)) * middles[:, 3:], block, axis=0)
     points = np.repeat(middles[:, :3], block, axis=0) + rng.normal(size=(skin_blocks * block, 3), scale=0.02)
     facing = facing + 0.1 * rng.normal(size=facing.shape)
@@ -319,7 +319,7 @@ def random_contact(
         "skin_bones": np.repeat(rng.integers(len(bound.bone_parents), size=(skin_blocks, bones)), block, axis=0),
         "skin_weights": weights / weights.sum(axis=1, keepdims=True),
         "contact_gaps": rng.uniform(0, 0.01, size=len(samples)),
-        "contact_sides": rng.choice([1, -1, 0], p=[0.6, 0.3, 0.1], size=(-(-len(samples) // size), skin_blocks)),
+        "contact_sides": rng.choice([1, -1, 0], p=[0.5, 0.45, 0.05], size=(-(-len(samples) // size), skin_blocks)),
     }
     if len(bound.detail_nodes) and len(between):
         found |= {
