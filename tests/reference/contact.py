@@ -145,17 +145,19 @@ def _meet(body, at, normals, side):
     turned = np.where(side == 0, np.inf, REACH**2 * away**2 * (3 - 2 * away))
     farther = ((at[:, None] - body.middles) ** 2).sum(axis=2) + turned
     counts = (farther < (np.sqrt(farther.min(axis=1, keepdims=True)) + BEYOND) ** 2).any(axis=0)
-    turned = np.where(counts, turned, np.inf)
-    apart = at[:, None] - body.points
+    points, of_points = (
+        of.reshape(len(counts), SKIN_BLOCK, 3)[counts].reshape(-1, 3) for of in (body.points, body.normals)
+    )
+    apart = at[:, None] - points
     distance = (apart**2).sum(axis=2)
-    square = distance + np.repeat(turned, SKIN_BLOCK, axis=1)
-    least = np.minimum(square.min(axis=1), REACH**2)
+    square = distance + np.repeat(turned[:, counts], SKIN_BLOCK, axis=1)
+    least = square.min(axis=1, initial=REACH**2)
     share = np.maximum(1 - (square - least[:, None]) / (BLEND**2 + BLEND_FAR * least)[:, None], 0) ** 2
     share /= np.maximum(share.sum(axis=1), 1e-9)[:, None]
-    off = (share * (apart * body.normals).sum(axis=2)).sum(axis=1)
+    off = (share * (apart * of_points).sum(axis=2)).sum(axis=1)
     beside = np.sqrt(np.maximum((share * distance).sum(axis=1) - off**2, 0))
     held = np.where(off < 0, np.clip((ASIDE + ASIDE_FADE - beside) / ASIDE_FADE, 0, 1), 1)
-    return off, unit(share @ body.normals), held * np.clip((REACH - np.sqrt(least)) / (FADE_SHARE * REACH), 0, 1)
+    return off, unit(share @ of_points), held * np.clip((REACH - np.sqrt(least)) / (FADE_SHARE * REACH), 0, 1)
 
 
 def lack_of(left, holds):

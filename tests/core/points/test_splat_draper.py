@@ -79,6 +79,15 @@ def test_centres_on_vertices_are_the_drape(tshirt, avatar, poses):
         np.testing.assert_allclose(skinner.skin(worn.node_transforms(), worn.features()).centres, cloth, atol=2e-6)
 
 
+@pytest.mark.xfail(strict=True, reason="garment nodes and features do not hold what contact adds to detail nodes")
+def test_centres_on_vertices_go_off_the_skin(tshirt, avatar, worn, poses):
+    """As vertices do, which contact moves by centimetres here: within a millimetre."""
+    draper = SplatDraper(tshirt, avatar, splats_at(tshirt.garment.vertices))
+    for pose in poses:
+        apart = np.linalg.norm(draper.drape(*pose).centres - worn.drape(*pose)[:, :3], axis=1)
+        assert apart.max() < 0.001, f"up to {1000 * apart.max():.1f} mm"
+
+
 def test_centres_go_with_detail(tshirt, avatar, poses):
     """As the garment's vertices, where it is in the same precision."""
     width = len(tshirt.node_deformer[-2][1])
@@ -105,6 +114,7 @@ def test_rigid_cloth_turns_splats_rigidly(garment_model):
     avatar = avatar_from_body(BODY, BODY.held_out_bodies[0])
     splats = splats_at(stiff.garment.vertices[::20], np.array([0.008, 0.004, 0.001]))
     draper = SplatDraper(stiff, avatar, splats)
+    unguarded(draper._draper)
     rng = np.random.default_rng(1)
     start, end = (rng.uniform(0.5 * BODY.rig.lower, 0.5 * BODY.rig.upper) for _ in range(2))
     before, after = draper.drape(start), draper.drape(end)

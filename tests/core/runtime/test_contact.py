@@ -216,8 +216,8 @@ def test_a_t_shirt_at_rest_stays_as_it_is(tshirt):
 
 
 def test_nothing_moves_where_nothing_lacks():
-    """A thigh that is raised moves a skirt by millimetres, but not what hangs a decimetre and more from all skin: by less
-    than a tenth of a millimetre, which garment nodes carry on. Where no skin presses nothing moves at all."""
+    """A raised thigh moves a skirt by millimetres, but what hangs a decimetre and more from all skin by less than
+    a tenth of a millimetre, which garment nodes carry on. Where no skin presses nothing moves at all."""
     skirt = on_the_avatar(replace(model_of("skirt"), sway=None))
     for raised, most in ((0.9, 1e-4), (0.5, 1e-6)):
         pose = posed(skirt.layer.model.rig, upperleg01__L_y=-raised)
