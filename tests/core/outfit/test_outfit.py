@@ -240,8 +240,8 @@ def test_a_bound_frame_and_positions_alone_are_the_same_frame(over_trousers, mot
 
 
 def test_garment_nodes_skin_to_what_is_not_moved(tucked, over_trousers, motion):
-    """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards, by another
-    layer or off the skin."""
+    """Those of each garment, of the last frame; skinned, they are the cloud where nothing is moved afterwards, by
+    another layer or off the skin."""
     positions, gravity = motion[0][30], motion[1][30]
     for outfit, moved in ((over_trousers, (False, True)), (tucked, (True, False))):
         for k, layer in enumerate(outfit.layers):
