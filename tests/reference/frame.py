@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from reference.contact import clearance, keep_out
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
 from reference.layer_order import LayerOrder
@@ -57,6 +58,11 @@ class ReferenceFrame:
         """(D, 3) of the detail nodes of a garment in the last frame; (0, 3) without detail."""
         return self._garments[garment].detail_offsets
 
+    def clearance(self, garment=0):
+        """(s + t,) [m] how far a garment was from the skin in the last frame."""
+        of = self._garments[garment]
+        return clearance(of.bound, of.bones, of.nodes, of.detail_offsets)
+
     def corrections(self, garment=0):
         """(12 m,) what the networks made of a garment in the last frame."""
         return self._garments[garment].corrections
@@ -88,5 +94,7 @@ class _Garment:
                 self._sway.forget()
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
         nodes = correct_nodes(posed, self.corrections)
-        self.nodes, self.detail_offsets = self._pace.kept(posed, nodes, offsets, passed)
+        nodes, offsets = self._pace.kept(posed, nodes, offsets, passed)
+        self.bones = bones
+        self.nodes, self.detail_offsets = keep_out(bound, bones, nodes, offsets)
         return self.nodes

@@ -80,6 +80,14 @@ def test_centres_on_vertices_are_the_drape(tshirt, avatar, poses):
         )
 
 
+def test_centres_on_vertices_go_off_the_skin(tshirt, avatar, worn, poses):
+    """As vertices do, which contact moves by centimetres here: within a millimetre."""
+    draper = SplatDraper(tshirt, avatar, splats_at(tshirt.garment.vertices))
+    for pose in poses:
+        apart = np.linalg.norm(draper.drape(*pose).centres - worn.drape(*pose)[:, :3], axis=1)
+        assert apart.max() < 0.001, f"up to {1000 * apart.max():.1f} mm"
+
+
 def test_centres_go_with_detail(tshirt, avatar, poses):
     """As the garment's vertices, in whatever precision it is."""
     width = len(tshirt.node_deformer[-2][1])
