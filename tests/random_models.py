@@ -15,6 +15,8 @@ from physkin_core.model.detail import Detail
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import token_features
 from physkin_core.model.sway_network import SwayNetwork, drive_size, pose_size
+from physkin_core.native_module import native
+from physkin_core.runtime.bound_garment import BoundGarment
 
 NETWORKS = dict(nodes=128, influences=8, pose_widths=(512,) * 4, deformer_widths=(128,) * 4)
 SIZES = {
@@ -292,6 +294,43 @@ def random_sway_network(
         code_mean=0.1 * floats(modulation),
         code_directions=floats(code, modulation) / np.float32(np.sqrt(modulation)),
     )
+
+
+def random_contact(
+    rng: np.random.Generator, bound: BoundGarment, cloth: np.ndarray, *, skin_blocks: int = 11, bones: int = 2
+) -> dict[str, np.ndarray]:
+    """Fields by which a garment is kept out of patches of skin, each near the cloth (n, 6) of the canonical pose and on
+    `bones` random bones: every second vertex is a sample, of a garment with detail the others lie between them."""
+    size, block = native.constants["block"], native.constants["skin_block"]
+    middles = cloth[::2][rng.integers(-(-len(cloth) // 2), size=skin_blocks)]
+    facing = np.repeat(rng.choice([-1, 1], size=(skin_blocks, 1)) * middles[:, 3:], block, axis=0)
+    points = np.repeat(middles[:, :3], block, axis=0) + rng.normal(size=(skin_blocks * block, 3), scale=0.02)
+    facing = facing + 0.1 * rng.normal(size=facing.shape)
+    weights = rng.uniform(0.1, 1, size=(len(points), bones))
+    samples, between = np.arange(0, len(bound.vertices), 2), np.arange(1, len(bound.vertices), 2)
+    names = ("vertices", "normals", "influence_nodes", "influence_weights", "detail_nodes", "detail_weights")
+    sampled = {
+        name: array[samples] if len(array := getattr(bound, name)) else np.empty((len(samples), 0), array.dtype)
+        for name in names
+    }
+    found = {f"contact_{name}": array for name, array in sampled.items()} | {
+        "skin_positions": points,
+        "skin_normals": facing / np.linalg.norm(facing, axis=1, keepdims=True),
+        "skin_bones": np.repeat(rng.integers(len(bound.bone_parents), size=(skin_blocks, bones)), block, axis=0),
+        "skin_weights": weights / weights.sum(axis=1, keepdims=True),
+        "contact_gaps": rng.uniform(0, 0.01, size=len(samples)),
+        "contact_sides": rng.choice([1, -1, 0], p=[0.5, 0.45, 0.05], size=(-(-len(samples) // size), skin_blocks)),
+    }
+    if len(bound.detail_nodes) and len(between):
+        found |= {
+            "between_nodes": bound.detail_nodes[between],
+            "between_weights": bound.detail_weights[between],
+            "between_heights": rng.uniform(-0.01, 0.01, size=len(between)),
+            "between_gaps": rng.uniform(0, 0.01, size=len(between)),
+            "between_blocks": rng.integers(len(found["contact_sides"]), size=-(-len(between) // size)),
+        }
+    types = {"f": np.float32, "i": np.int32}
+    return {name: np.ascontiguousarray(array, dtype=types[array.dtype.kind]) for name, array in found.items()}
 
 
 def random_avatar(rng: np.random.Generator, rig: Rig, *, influences: int = 3) -> Avatar:

@@ -35,9 +35,9 @@ class PlayedNode:
         self.outfit.drape(positions)
         positions = array("d", map(float, positions))
         messages = {"/joint_states": {"name": list(self.outfit.joint_names), "position": positions}}
-        for topic, *values in zip(self.topics, self.outfit.node_transforms(), self.outfit.features()):
-            transforms, features = (array("f", each.tobytes()) for each in values)
-            messages[f"{topic}/garment_nodes"] = {"revision": 3, "transforms": transforms, "features": features}
+        for topic, *values in zip(self.topics, self.outfit.node_transforms(), self.outfit.detail_offsets()):
+            transforms, offsets = (array("f", each.tobytes()) for each in values)
+            messages[f"{topic}/garment_nodes"] = {"revision": 3, "transforms": transforms, "detail_offsets": offsets}
         return messages
 
 

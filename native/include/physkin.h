@@ -26,7 +26,7 @@ extern "C" {
 #endif
 
 /* Raised when a host built against an older header would break. */
-#define PHYSKIN_ABI_VERSION 3
+#define PHYSKIN_ABI_VERSION 4
 
 /* ABI version of the loaded library; compare it with PHYSKIN_ABI_VERSION before anything else. */
 PHYSKIN_API int32_t physkin_abi_version(void);
@@ -124,13 +124,13 @@ PHYSKIN_API physkin_status physkin_reset(physkin_garment* garment);
 PHYSKIN_API const char* physkin_precision(const physkin_garment* garment);
 PHYSKIN_API const char* physkin_instruction_set(const physkin_garment* garment);
 
-/* --- Garments that somebody else poses: a ROS node's ~/mesh once, then its ~/garment_nodes, some 7 KB a frame --- */
+/* --- Garments that somebody else poses: a ROS node's ~/mesh once, then its ~/garment_nodes, some 19 KB a frame --- */
 
 /* What skinning needs of a physkin_msgs/GarmentMesh; members are its fields, and arrays as long as it says of them. Read by
- * physkin_skinner_open only. feature_count to detail_influences are 0, and detail arrays null, of one without detail. */
+ * physkin_skinner_open only. detail_node_count and detail_influences are 0, and detail arrays null, of one without detail. */
 typedef struct physkin_mesh {
   uint32_t size; /* sizeof(physkin_mesh) */
-  int32_t vertex_count, face_count, node_count, influences, feature_count, detail_node_count, detail_influences;
+  int32_t vertex_count, face_count, node_count, influences, detail_node_count, detail_influences;
   const uint32_t* faces; /* (face_count, 3), null where face_count is 0 */
   const float* rest_vertices;
   const float* rest_normals;
@@ -139,20 +139,19 @@ typedef struct physkin_mesh {
   const float* influence_weights;
   const uint32_t* detail_nodes;
   const float* detail_weights;
-  const float* detail_offsets;
 } physkin_mesh;
 
 typedef struct physkin_skinner physkin_skinner;
 
-/* options.precision: the mesh's `precision`, for the vertices of the node's clouds. PHYSKIN_BAD_ARGUMENT for a mesh that
- * contradicts itself. */
+/* options.precision does not matter here: there are no network weights. PHYSKIN_BAD_ARGUMENT for a mesh that contradicts
+ * itself. */
 PHYSKIN_API physkin_status physkin_skinner_open(const physkin_mesh* mesh, const physkin_options* options,
                                                 physkin_skinner** skinner);
 PHYSKIN_API void physkin_skinner_close(physkin_skinner* skinner); /* null is allowed */
 
-/* One frame. Allocates nothing. transforms: (node_count, 3, 4) and features: (feature_count), null of a garment without
- * detail, as in physkin_msgs/GarmentNodes. out, columns and stride as of physkin_step. */
-PHYSKIN_API physkin_status physkin_skin(physkin_skinner* skinner, const float* transforms, const float* features,
+/* One frame. Allocates nothing. transforms: (node_count, 3, 4) and detail_offsets: (detail_node_count, 3), null of a
+ * garment without detail, as in physkin_msgs/GarmentNodes. out, columns and stride as of physkin_step. */
+PHYSKIN_API physkin_status physkin_skin(physkin_skinner* skinner, const float* transforms, const float* detail_offsets,
                                         float* out, int32_t columns, ptrdiff_t stride);
 
 #ifdef __cplusplus

@@ -63,32 +63,29 @@ using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::d
 // A garment without its networks.
 class BoundSkinner {
  public:
-  BoundSkinner(nb::handle skinning_data, const Text& precision)
+  explicit BoundSkinner(nb::handle skinning_data)
       : skinner_([&] {
           PythonReader reader;
           const SkinningData data = reader.skinning_data(skinning_data);
           const Kernels& kernels = select_kernels();
           const nb::gil_scoped_release release;
           validate(data);
-          return Skinner(data, select_precision(precision.value_or("")), kernels, arena_);
-        }()),
-        features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
+          return Skinner(data, kernels, arena_);
+        }()) {}
 
-  void skin(const TransformArray& node_transforms, const OutputArray& out, const Floats& features) {
+  void skin(const TransformArray& node_transforms, const OutputArray& out, const RowArray& detail_offsets) {
     check_shape(node_transforms, "node_transforms", {skinner_.nodes(), 3, 4});
-    check_shape(features, "features", {skinner_.features()});
-    std::copy_n(features.data(), skinner_.features(), features_);
+    check_shape(detail_offsets, "detail_offsets", {skinner_.detail_nodes(), 3});
     const VertexRows rows = vertex_rows(out, skinner_.vertex_count());
     raise_if(skinner_.check(node_transforms.data()));
-    raise_if(skinner_.check_features(features_));
-    skinner_.skin(node_transforms.data(), skinner_.detail_offsets(features_), rows);
+    raise_if(skinner_.check_offsets(detail_offsets.data()));
+    skinner_.skin(node_transforms.data(), detail_offsets.data(), rows);
     skinner_.compute_normals(rows);
   }
 
  private:
   Arena arena_;
   Skinner skinner_;
-  float* features_;
 };
 
 // (name, type, whether its rows are vertices) of every field of a bound garment.
@@ -133,8 +130,9 @@ NB_MODULE(_native, module) {
   using physkin::BoundSkinner;
   using physkin::Text;
   nb::class_<BoundSkinner>(module, "Skinner")
-      .def(nb::init<nb::handle, const Text&>(), "skinning_data"_a, "precision"_a = nb::none())
-      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(), "features"_a.noconvert());
+      .def(nb::init<nb::handle>(), "skinning_data"_a)
+      .def("skin", &BoundSkinner::skin, "node_transforms"_a.noconvert(), "out"_a.noconvert(),
+           "detail_offsets"_a.noconvert());
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
   module.def("bound_garment_fields", physkin::described_fields);

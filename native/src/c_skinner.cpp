@@ -15,14 +15,14 @@ const std::int32_t* indices(const std::uint32_t* given) { return reinterpret_cas
 
 physkin::SkinningData skinning_data(const physkin_mesh& mesh) {
   for (const std::int32_t count : {mesh.vertex_count, mesh.face_count, mesh.node_count, mesh.influences,
-                                   mesh.feature_count, mesh.detail_node_count, mesh.detail_influences}) {
+                                   mesh.detail_node_count, mesh.detail_influences}) {
     if (count < 0)
       throw std::invalid_argument("a count of the mesh is " + std::to_string(count) + "; none is negative");
   }
   const bool detail = mesh.detail_node_count > 0;
   const void* always[] = {mesh.rest_vertices, mesh.rest_normals, mesh.node_rest, mesh.influence_nodes,
                           mesh.influence_weights};
-  const void* of_detail[] = {mesh.detail_nodes, mesh.detail_weights, mesh.detail_offsets};
+  const void* of_detail[] = {mesh.detail_nodes, mesh.detail_weights};
   if (std::count(std::begin(always), std::end(always), nullptr) > 0 || (mesh.face_count > 0 && mesh.faces == nullptr) ||
       (detail && std::count(std::begin(of_detail), std::end(of_detail), nullptr) > 0)) {
     throw std::invalid_argument("an array of the mesh is null");
@@ -40,11 +40,9 @@ physkin::SkinningData skinning_data(const physkin_mesh& mesh) {
   data.faces = indices(mesh.faces);
   data.detail_vertices = detail ? mesh.vertex_count : 0;
   data.detail_influences = mesh.detail_influences;
-  data.detail_numbers = 3 * mesh.detail_node_count;
-  data.detail_features = mesh.feature_count;
+  data.detail_numbers = physkin::numbers_of_detail(mesh.detail_node_count);
   data.detail_nodes = indices(mesh.detail_nodes);
   data.detail_weights = mesh.detail_weights;
-  data.detail_offsets = mesh.detail_offsets;
   validate(data);
   return data;
 }
@@ -53,12 +51,10 @@ physkin::SkinningData skinning_data(const physkin_mesh& mesh) {
 
 struct physkin_skinner {
   physkin_skinner(const physkin::SkinningData& data, const physkin::c_interface::Wanted& how)
-      : skinner(data, how.precision, *how.kernels, arena),
-        features(arena.take<float>(std::size_t(physkin::padded_to_group(skinner.features()) + physkin::kGroup))) {}
+      : skinner(data, *how.kernels, arena) {}
 
   physkin::Arena arena;
   physkin::Skinner skinner;
-  float* features;
 };
 
 extern "C" {
@@ -79,20 +75,21 @@ physkin_status physkin_skinner_open(const physkin_mesh* mesh, const physkin_opti
 
 void physkin_skinner_close(physkin_skinner* skinner) { delete skinner; }
 
-physkin_status physkin_skin(physkin_skinner* skinner, const float* transforms, const float* features, float* out,
+physkin_status physkin_skin(physkin_skinner* skinner, const float* transforms, const float* detail_offsets, float* out,
                             int32_t columns, ptrdiff_t stride) {
   if (skinner == nullptr || transforms == nullptr || out == nullptr) {
     return fail(PHYSKIN_BAD_ARGUMENT, "%s", "skinner, transforms or out is null");
   }
   physkin::Skinner& by = skinner->skinner;
-  if (by.features() > 0 && features == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "features is null");
+  if (by.detail_nodes() > 0 && detail_offsets == nullptr) {
+    return fail(PHYSKIN_BAD_ARGUMENT, "%s", "detail_offsets is null");
+  }
   if (const physkin_status status = physkin::c_interface::check_rows(columns, stride)) return status;
-  std::copy_n(features, by.features(), skinner->features);
   physkin::Rejection bad = by.check(transforms);
-  if (!bad) bad = by.check_features(skinner->features);
+  if (!bad) bad = by.check_offsets(detail_offsets);
   if (bad) return fail(bad);
   const physkin::VertexRows rows{reinterpret_cast<unsigned char*>(out), stride, columns == 6};
-  by.skin(transforms, by.detail_offsets(skinner->features), rows);
+  by.skin(transforms, detail_offsets, rows);
   by.compute_normals(rows);
   return PHYSKIN_OK;
 }

@@ -11,7 +11,6 @@ namespace physkin {
 namespace {
 
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using RowArray = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Outputs = std::vector<OutputArray>;
 
 const double* vector_of(const Vector& array, const char* name, int size) {
@@ -145,9 +144,9 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 12>> corrections(BoundEvaluato
   return {of.corrections(), {std::size_t(of.nodes()), 12}, nb::find(self)};
 }
 
-nb::ndarray<nb::numpy, const float, nb::ndim<1>> features(BoundEvaluator& self, int garment) {
+nb::ndarray<nb::numpy, const float, nb::shape<-1, 3>> detail_offsets(BoundEvaluator& self, int garment) {
   const GarmentEvaluator& of = self.garment(garment);
-  return {of.features(), {std::size_t(of.feature_count())}, nb::find(self)};
+  return {of.detail_offsets(), {std::size_t(of.detail_nodes()), 3}, nb::find(self)};
 }
 
 void measure_clearance(BoundEvaluator& self, int garment, Floats out) {
@@ -170,7 +169,7 @@ void bind_frame(nb::module_& module) {
            "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none())
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
-      .def("features", features, "garment"_a = 0)
+      .def("detail_offsets", detail_offsets, "garment"_a = 0)
       .def("clearances", clearances, "garment"_a = 0)
       .def("measure_clearance", measure_clearance, "garment"_a, "out"_a.noconvert())
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })

@@ -26,6 +26,7 @@ namespace nb = nanobind;
 using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 // A float64, read-only or strided array would be converted into a copy that nobody reads; every use is noconvert.
 using OutputArray = nb::ndarray<float, nb::ndim<2>, nb::device::cpu>;
+using RowArray = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Floats = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using WrittenFloats = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
@@ -85,7 +86,7 @@ class PythonReader : public FieldSource {
   }
   SkinningData skinning_data(nb::handle object) {
     object_ = object;
-    return read_skinning_data(*this);
+    return read_skinning_data(*this, nb::cast<std::int64_t>(attribute("detail_node_count")));
   }
   // For whatever else reads its fields by name.
   FieldSource& fields_of(nb::handle object) {

@@ -1,6 +1,6 @@
 // physkin.wasm and its memory: what Outfit (physkin.js) and GarmentSkin (ros.js) stand on.
 
-const ABI_VERSION = 3;
+const ABI_VERSION = 4;
 
 /** Numbers of a row: x y z, then the unit normal. */
 export const ROW = 6;

@@ -1,5 +1,5 @@
-// Garments that a running ROS node drapes, skinned in this tab: its ~/mesh once, then its ~/garment_nodes, some 7 KB a
-// frame, through rosbridge and roslib. Axes and errors are those of physkin.js.
+// Garments that a running ROS node drapes, skinned in this tab: its ~/mesh once, then its ~/garment_nodes, some 19 KB
+// a frame, through rosbridge and roslib. Axes and errors are those of physkin.js.
 import { Topic } from "roslib";
 import { NativeModule, PhyskinError, ROW } from "./native_module.js";
 
@@ -9,7 +9,7 @@ const NODES = "physkin_msgs/msg/GarmentNodes";
 // Fields of the mesh in the order of physkin_mesh in physkin.h, and how long each is.
 const COUNTS = [
   ...["vertex_count", "face_count", "node_count", "influences"],
-  ...["feature_count", "detail_node_count", "detail_influences"],
+  ...["detail_node_count", "detail_influences"],
 ];
 const ARRAYS = [
   ["faces", Uint32Array, (mesh) => 3 * mesh.face_count],
@@ -20,7 +20,6 @@ const ARRAYS = [
   ["influence_weights", Float32Array, (mesh) => mesh.influences * mesh.vertex_count],
   ["detail_nodes", Uint32Array, (mesh) => mesh.detail_influences * mesh.vertex_count],
   ["detail_weights", Float32Array, (mesh) => mesh.detail_influences * mesh.vertex_count],
-  ["detail_offsets", Float32Array, (mesh) => 3 * mesh.detail_node_count * mesh.feature_count],
 ];
 
 /** What the topics of garments that are published now are below, such as "/drape_node" or "/drape_node/tshirt". */
@@ -48,12 +47,12 @@ export class GarmentSkin {
     this.name = mesh.model_name;
     this.revision = mesh.revision;
     this.jointNames = mesh.joint_names;
-    this.sizes = { transforms: 12 * mesh.node_count, features: mesh.feature_count };
+    this.sizes = { transforms: 12 * mesh.node_count, detail_offsets: 3 * mesh.detail_node_count };
     this.#handle = this.#open({ ...mesh, face_count: mesh.faces.length / 3 });
     this.faces = Uint32Array.from(mesh.faces);
     this.positions = new Float32Array(3 * mesh.vertex_count);
     this.normals = new Float32Array(3 * mesh.vertex_count);
-    this.#input = module.room(4 * (this.sizes.transforms + this.sizes.features));
+    this.#input = module.room(4 * (this.sizes.transforms + this.sizes.detail_offsets));
     this.#rows = module.room(4 * ROW * mesh.vertex_count);
   }
 
@@ -67,29 +66,27 @@ export class GarmentSkin {
         throw new PhyskinError(`garment nodes have ${nodes[field].length} numbers of ${field}; the mesh wants ${length}`);
       }
     }
-    const [module, features] = [this.#module, this.#input + 4 * this.sizes.transforms];
+    const [module, offsets] = [this.#module, this.#input + 4 * this.sizes.transforms];
     module.view(Float32Array, this.#input, this.sizes.transforms).set(nodes.transforms);
-    module.view(Float32Array, features, this.sizes.features).set(nodes.features);
-    module.check(module.native.physkin_skin(this.#handle, this.#input, features, this.#rows, ROW, ROW));
+    module.view(Float32Array, offsets, this.sizes.detail_offsets).set(nodes.detail_offsets);
+    module.check(module.native.physkin_skin(this.#handle, this.#input, offsets, this.#rows, ROW, ROW));
     module.copyRows(this.#rows, this.positions, this.normals);
   }
 
   #open(mesh) {
     const [module, words] = [this.#module, 1 + COUNTS.length + ARRAYS.length];
     const places = ARRAYS.map(([field, Type, length]) => placed(module, mesh, field, Type, length(mesh)));
-    const precision = module.write(mesh.precision);
-    const [given, options] = [module.room(4 * words), module.room(12)];
+    const given = module.room(4 * words);
     const handle = module.room(4);
     try {
       const counts = COUNTS.map((field) => mesh[field]);
       module.view(Uint32Array, given, words).set([4 * words, ...counts, ...places]);
-      module.view(Uint32Array, options, 3).set([12, precision, 0]);
-      module.check(module.native.physkin_skinner_open(given, options, handle));
+      module.check(module.native.physkin_skinner_open(given, 0, handle));
       return module.view(Uint32Array, handle, 1)[0];
     } catch (error) {
       throw new PhyskinError(`garment mesh "${mesh.model_name}": ${error.message}`);
     } finally {
-      [...places, precision, given, options, handle].forEach((place) => module.native.free(place));
+      [...places, given, handle].forEach((place) => module.native.free(place));
     }
   }
 }

@@ -1,7 +1,7 @@
 """Linear blend skinning of garment vertices and normals to garment nodes. Paper: Node-based Skinning for Garments.
 
-Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex, `D` detail nodes, `J` of them a vertex, `F`
-features. Metres, root frame.
+Dimensions: `n` vertices, `m` garment nodes, `K` influences a vertex, `D` detail nodes, `J` of them a vertex. Metres,
+root frame.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class SkinningData:
     are no faces, which give the draped garment's otherwise.
     influence_nodes: (n, K) int32; influence_weights: (n, K), rows sum to 1.
     faces: (f, 3) int32 triangles of the vertices; empty for a point set.
-    detail_offsets: (3 D, F), what a feature of 1 adds to x, y and z of each detail node; detail_nodes: (n, J) int32,
-    those that a vertex goes with before it is skinned; detail_weights: (n, J). All empty of a garment without detail.
+    detail_node_count: D. detail_nodes: (n, J) int32 that that a vertex goes with before it is skinned. detail_weights:
+    (n, J). 0 and empty of a garment without detail.
     """
 
     node_rest: np.ndarray
@@ -32,7 +32,7 @@ class SkinningData:
     influence_nodes: np.ndarray
     influence_weights: np.ndarray
     faces: np.ndarray = field(default_factory=lambda: np.empty((0, 3), dtype=np.int32))
-    detail_offsets: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    detail_node_count: int = 0
     detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
 

@@ -208,9 +208,9 @@ class Draper:
         """(m, 3, 4): see `Outfit.node_transforms`."""
         return self.outfit.node_transforms()[0]
 
-    def features(self) -> np.ndarray:
-        """(F,): see `Outfit.features`."""
-        return self.outfit.features()[0]
+    def detail_offsets(self) -> np.ndarray:
+        """(D, 3): see `Outfit.detail_offsets`."""
+        return self.outfit.detail_offsets()[0]
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """See `Outfit.bone_transforms`."""

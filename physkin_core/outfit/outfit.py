@@ -318,11 +318,11 @@ class Outfit:
         """
         return tuple(self._evaluator.node_transforms(k) for k in range(len(self.layers)))
 
-    def features(self) -> tuple[np.ndarray, ...]:
-        """What moves the detail nodes of each garment in the last frame: (F,), empty for a garment without any.
-        Skinning takes it together with `node_transforms`.
+    def detail_offsets(self) -> tuple[np.ndarray, ...]:
+        """How far the detail nodes of each garment are from their places at rest in the last frame: (D, 3) [m], (0, 3)
+        for a garment without any. Skinning takes them together with `node_transforms`.
         """
-        return tuple(self._evaluator.features(k) for k in range(len(self.layers)))
+        return tuple(self._evaluator.detail_offsets(k) for k in range(len(self.layers)))
 
     def bone_transforms(self, joint_positions: np.ndarray) -> np.ndarray:
         """Transforms of the bones of this body, for posing the body with the garments.

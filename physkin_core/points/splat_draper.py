@@ -19,7 +19,7 @@ from physkin_core.model.skinning import SkinningData
 from physkin_core.outfit.draper import Draper
 from physkin_core.points.splats import Splats, moved_splats
 from physkin_core.runtime.binding import FARTHEST_POINT, bind_points
-from physkin_core.runtime.evaluator import NO_FEATURES, Precision, Skinner
+from physkin_core.runtime.evaluator import NO_DETAIL, Skinner
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.layer import Layer
 
@@ -48,15 +48,15 @@ def bind_splats(layer: Layer, splats: Splats) -> BoundSplats:
     del placed["faces"]
     bound = layer.bound
     return BoundSplats(
-        SkinningData(node_rest=bound.node_rest, detail_offsets=bound.detail_offsets, **placed), splats.scales
+        SkinningData(node_rest=bound.node_rest, detail_node_count=bound.detail_node_count, **placed), splats.scales
     )
 
 
 class SplatSkinner:
-    """Splats of a garment where its garment nodes take them. precision: as of `Skinner`. Raises ValueError as that."""
+    """Splats of a garment where its garment nodes take them. Raises ValueError as `Skinner` does."""
 
-    def __init__(self, bound: BoundSplats, *, precision: Precision | None = None) -> None:
-        self._skinner = Skinner(bound.skinning, precision=precision)
+    def __init__(self, bound: BoundSplats) -> None:
+        self._skinner = Skinner(bound.skinning)
         self._scales = bound.scales
 
     @property
@@ -64,11 +64,11 @@ class SplatSkinner:
         """Number of splats n."""
         return len(self._scales)
 
-    def skin(self, node_transforms: np.ndarray, features: np.ndarray = NO_FEATURES) -> Splats:
-        """The splats in the root frame. node_transforms: (m, 3, 4) float32 as of `Outfit.node_transforms`, features
-        (F,) as of `Outfit.features`. Raises TypeError or ValueError as `Skinner.skin` does."""
+    def skin(self, node_transforms: np.ndarray, detail_offsets: np.ndarray = NO_DETAIL) -> Splats:
+        """The splats in the root frame. node_transforms: (m, 3, 4) float32 as of `Outfit.node_transforms`,
+        detail_offsets (D, 3) as of `Outfit.detail_offsets`. Raises TypeError or ValueError as `Skinner.skin` does."""
         cloud = np.empty((self._skinner.vertex_count, 6), dtype=np.float32)
-        self._skinner.skin(node_transforms, cloud, features)
+        self._skinner.skin(node_transforms, cloud, detail_offsets)
         centres, *ends = cloud[:, :3].reshape(4, -1, 3)
         return moved_splats(centres, (np.stack(ends) - centres) / np.float32(STEP), self._scales)
 
@@ -125,4 +125,4 @@ class SplatDraper:
             ValueError: as `Draper.drape` does.
         """
         self._draper.drape(joint_positions, gravity, effective_gravity=effective_gravity)
-        return self._skinner.skin(self._draper.node_transforms(), self._draper.features())
+        return self._skinner.skin(self._draper.node_transforms(), self._draper.detail_offsets())

@@ -43,6 +43,7 @@ class BoundGarment(SkinningData):
         gives 12 m numbers.
     detail_layers: one layer (F, h) from the node deformer's last hidden layer to features, followed by SiLU; none of a
         garment without detail.
+    detail_offsets: (3 D, F) [m], what a feature of 1 adds to x, y and z of each detail node; gives `detail_node_count`.
     node_bone: (m,) int32, the bone each garment node follows.
     node_positions: (m, 3) garment nodes at the canonical pose of this body.
     sway_joints, sway_layers, sway_rates, sway_turns: the sway network, the body's code folded in, or all empty. Joints
@@ -76,6 +77,8 @@ class BoundGarment(SkinningData):
     fabric_weights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     fabric_sway_shifts: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     detail_layers: tuple[Layer, ...] = ()
+    detail_offsets: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
+    detail_node_count: int = field(init=False)
     sway_joints: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
     sway_layers: tuple[Layer, ...] = ()
     sway_rates: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
@@ -98,6 +101,9 @@ class BoundGarment(SkinningData):
     between_heights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     between_gaps: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     between_blocks: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "detail_node_count", len(self.detail_offsets) // 3)
 
     @property
     def without_contact(self) -> BoundGarment:

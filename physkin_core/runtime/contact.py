@@ -45,8 +45,8 @@ GAP = 0.003
 JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
 SLIDES = 0.1
-"""[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: skin that is farther off it
-never meets."""
+"""[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: it never meets skin
+farther off."""
 BENEATH, PRESSES = 1, -1
 
 

@@ -16,7 +16,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.frame_input import FrameInput
 
 __all__ = [
-    "NO_FEATURES",
+    "NO_DETAIL",
     "PRECISIONS",
     "Evaluator",
     "Precision",
@@ -29,8 +29,8 @@ Precision = Literal["fp32", "bf16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("fp32", "bf16", "int8")
 """Precisions of network weights."""
 
-NO_FEATURES = np.empty(0, dtype=np.float32)
-"""Of garments without detail."""
+NO_DETAIL = np.empty((0, 3), dtype=np.float32)
+"""Offsets of detail nodes of garments without any."""
 
 
 def supported_instruction_sets() -> list[str]:
@@ -118,10 +118,10 @@ class Evaluator:
         """What the networks gave last, (m, 12) float32; zeros before the first frame."""
         return self._evaluator.corrections(garment).copy()
 
-    def features(self, garment: int = 0) -> np.ndarray:
-        """What moves the detail nodes in the last frame, (F,) float32, zeros before the first one; (0,) of a garment
-        without detail."""
-        return self._evaluator.features(garment).copy()
+    def detail_offsets(self, garment: int = 0) -> np.ndarray:
+        """Offsets of detail nodes of the last frame, (D, 3) float32 [m] that are added to the garment at rest before it
+        is skinned; before layers are put in order. Zeros before the first frame; (0, 3) of a garment without detail."""
+        return self._evaluator.detail_offsets(garment).copy()
 
     def clearance(self, garment: int = 0) -> np.ndarray:
         """How far samples of the cloth, and vertices between them, are from the skin in the last frame (s + t,) [m],
@@ -149,27 +149,27 @@ class Skinner:
     """Skins one garment from garment nodes that somebody else computed, without having its networks. Not for use by two
     threads at once.
 
-    precision: that detail is worked out in, as of `Evaluator`: one of the same precision gives the same vertices, bit
-        for bit.
+    Gives the vertices of the `Evaluator` that computed them, bit for bit.
 
-    Raises ValueError when a shape or dtype is another than of `SkinningData`, an index out of range, a value not finite
-    or the precision unknown.
+    Raises ValueError when a shape or dtype is another than of `SkinningData`, an index out of range or a value not
+    finite.
     """
 
-    def __init__(self, data: SkinningData, *, precision: Precision | None = None) -> None:
+    def __init__(self, data: SkinningData) -> None:
         self.vertex_count, self.node_count = len(data.vertices), len(data.node_rest)
-        self._skinner = native.Skinner(data, precision)
+        self._skinner = native.Skinner(data)
 
-    def skin(self, node_transforms: np.ndarray, out: np.ndarray, features: np.ndarray = NO_FEATURES) -> None:
+    def skin(self, node_transforms: np.ndarray, out: np.ndarray, detail_offsets: np.ndarray = NO_DETAIL) -> None:
         """Write x, y, z [m] and unit normals into `out`, (n, 6) or (n, 3) float32 as for `Evaluator.bind_frame`, from
-        node_transforms (m, 3, 4) and, of a garment with detail, features (F,), float32 and C-contiguous.
+        node_transforms (m, 3, 4) and, of a garment with detail, detail_offsets (D, 3) [m], float32 and C-contiguous.
 
-        Raises TypeError or ValueError as `Evaluator.bind_frame` does, and for transforms that are not finite.
+        Raises TypeError or ValueError as `Evaluator.bind_frame` does, and for what is not finite.
         """
         try:
-            self._skinner.skin(node_transforms, out, features)
+            self._skinner.skin(node_transforms, out, detail_offsets)
         except TypeError:
-            raise TypeError(_explain(node_transforms=node_transforms, features=features, out=out)) from None
+            got = _explain(node_transforms=node_transforms, detail_offsets=detail_offsets, out=out)
+            raise TypeError(got) from None
 
 
 def _explain(**arrays: object) -> str:

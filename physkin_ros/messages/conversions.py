@@ -1,6 +1,6 @@
 """Between ROS messages and the core's arrays: gravity in; clouds, meshes and garment nodes out.
 
-Dimensions: `n` garment vertices, `m` garment nodes, `F` features. Metres, root frame.
+Dimensions: `n` garment vertices, `m` garment nodes, `D` detail nodes. Metres, root frame.
 """
 
 from __future__ import annotations
@@ -52,20 +52,21 @@ class GarmentCloud:
 
 
 class NodesMessage:
-    """One `physkin_msgs/GarmentNodes` of a garment, filled in place. transforms: (m, 3, 4) and features: (F,) float32
-    views of its data."""
+    """One `physkin_msgs/GarmentNodes` of a garment, filled in place. transforms: (m, 3, 4) and detail_offsets: (D, 3)
+    float32 views of its data."""
 
     def __init__(self, skinning: SkinningData, frame_id: str, revision: int) -> None:
         from physkin_msgs.msg import GarmentNodes
 
-        def message_of(transforms: bytes, features: bytes) -> GarmentNodes:
-            message = GarmentNodes(revision=revision, transforms=array("f", transforms), features=array("f", features))
+        def message_of(*values: bytes) -> GarmentNodes:
+            transforms, detail_offsets = (array("f", each) for each in values)
+            message = GarmentNodes(revision=revision, transforms=transforms, detail_offsets=detail_offsets)
             message.header.frame_id = frame_id
             return message
 
-        shapes = (len(skinning.node_rest), 3, 4), (skinning.detail_offsets.shape[1],)
+        shapes = (len(skinning.node_rest), 3, 4), (skinning.detail_node_count, 3)
         kept = SerialisedMessage(message_of, *shapes, dtype=np.float32)
-        (self.transforms, self.features), self.publish = kept.payloads, kept.publish
+        (self.transforms, self.detail_offsets), self.publish = kept.payloads, kept.publish
 
 
 class TriangleMarker:
@@ -143,13 +144,10 @@ def garment_mesh(outfit: Outfit, index: int, frame_id: str, *, revision: int = 1
         influence_weights=array("f", bound.influence_weights.tobytes()),
         joint_names=list(outfit.joint_names),
         joint_rest=array("f", model.rig.rest.astype(np.float32).tobytes()),
-        feature_count=bound.detail_offsets.shape[1],
-        detail_node_count=len(bound.detail_offsets) // 3,
+        detail_node_count=bound.detail_node_count,
         detail_influences=bound.detail_nodes.shape[1],
         detail_nodes=array("I", bound.detail_nodes.astype(np.uint32).tobytes()),
         detail_weights=array("f", bound.detail_weights.tobytes()),
-        detail_offsets=array("f", bound.detail_offsets.tobytes()),
-        precision=outfit.precision,
     )
     message.header.frame_id = frame_id
     return message

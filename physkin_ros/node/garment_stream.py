@@ -96,7 +96,7 @@ class LayerMessages:
         if stream.nodes_publisher is not None:
             self._nodes = NodesMessage(self.layer.bound_visible, stream.frame_id, self.revision)
         if splats is not None:
-            self._splats = SplatMessages(SplatSkinner(splats.bound, precision=outfit.precision), stream.frame_id)
+            self._splats = SplatMessages(SplatSkinner(splats.bound), stream.frame_id)
             stream.show_look(splats.look)
 
     @property
@@ -114,14 +114,14 @@ class LayerMessages:
         self._cloud.publish(stream.cloud_publisher, sec, nanosec)
         if self._nodes is not None and stream.nodes_publisher.handle.get_subscription_count():
             self._nodes.transforms[:] = self.outfit.node_transforms()[self.index]
-            self._nodes.features[:] = self.outfit.features()[self.index]
+            self._nodes.detail_offsets[:] = self.outfit.detail_offsets()[self.index]
             self._nodes.publish(stream.nodes_publisher, sec, nanosec)
         if self._has_faces and stream.marker_publisher.handle.get_subscription_count():
             if self._marker is None:
                 self._marker = TriangleMarker(self.layer.faces, stream.frame_id, stream.name)
             self._marker.publish(stream.marker_publisher, self.points, sec, nanosec)
         if self._splats is not None and stream.splat_publisher.get_subscription_count():
-            moved = self.outfit.node_transforms()[self.index], self.outfit.features()[self.index]
+            moved = self.outfit.node_transforms()[self.index], self.outfit.detail_offsets()[self.index]
             self._splats.publish(stream.splat_publisher, *moved, sec, nanosec)
 
     def _has_mesh_of(self, other: LayerMessages) -> bool:
@@ -147,13 +147,15 @@ class SplatMessages:
         self._cloud = SplatCloud(skinner.splat_count, frame_id)
         self._free_ns = 0
 
-    def publish(self, publisher, node_transforms: np.ndarray, features: np.ndarray, sec: int, nanosec: int) -> None:
-        """Publish the splats of a frame with garment nodes (m, 3, 4) and features (F,), unless the last ones took so
-        long that it is too soon."""
+    def publish(
+        self, publisher, node_transforms: np.ndarray, detail_offsets: np.ndarray, sec: int, nanosec: int
+    ) -> None:
+        """Publish the splats of a frame with garment nodes (m, 3, 4) and detail nodes off their rest (D, 3), unless the
+        last ones took so long that it is too soon."""
         began = perf_counter_ns()
         if began < self._free_ns:
             return
-        self._cloud.fill(self._skinner.skin(node_transforms, features))
+        self._cloud.fill(self._skinner.skin(node_transforms, detail_offsets))
         self._cloud.publish(publisher, sec, nanosec)
         now = perf_counter_ns()
         self._free_ns = 2 * now - began

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from native_frames import told
 from native_library import save_one
-from random_models import random_detail, random_layers, random_sway_network, unit_rows
+from random_models import random_contact, random_detail, random_layers, random_sway_network, unit_rows
 
 from physkin_core.model.sway_network import fold_body
 from physkin_core.runtime.bound_garment import BoundGarment
+from physkin_core.runtime.evaluator import drape_poses
 
 
 def random_bound_garment(
@@ -27,6 +28,7 @@ def random_bound_garment(
     learnt_sway=False,
     detail_nodes=0,
     fabrics=0,
+    skin_blocks=0,
 ):
     """A rig, networks and skinning weights with nothing regular about them, of about a person's size."""
 
@@ -60,7 +62,7 @@ def random_bound_garment(
             "fabric_weights": rng.uniform(0.5, 2, size=fabrics).astype(np.float32),
             "fabric_sway_shifts": rng.normal(size=(fabrics, shifts)).astype(np.float32),
         }
-    return BoundGarment(
+    garment = BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
         dof_bone=rng.integers(0, bones, size=dofs).astype(np.int32),
@@ -80,6 +82,10 @@ def random_bound_garment(
         influence_weights=weights.astype(np.float32),
         **parts,
     )
+    if not skin_blocks:
+        return garment
+    (cloth,) = drape_poses(garment, [(garment.dof_rest, (0.0, 0.0, -1.0))], precision="fp32")
+    return replace(garment, **random_contact(rng, garment, cloth, skin_blocks=skin_blocks))
 
 
 @pytest.fixture(scope="session")
@@ -87,7 +93,8 @@ def small_bound_file(tmp_path_factory):
     """A bound garment file of a few kilobytes with everything that one can hold."""
     rng = np.random.default_rng(40)
     faces = rng.integers(0, 50, size=(90, 3)).astype(np.int32)
-    garment = replace(random_bound_garment(rng, learnt_sway=True, detail_nodes=9, fabrics=2), faces=faces)
+    garment = random_bound_garment(rng, learnt_sway=True, detail_nodes=9, fabrics=2, skin_blocks=3)
+    garment = replace(garment, faces=faces)
     path = tmp_path_factory.mktemp("bound") / "small.physkin"
     save_one(garment, path, name="small", fabrics=["jersey", "silk", "felt"])
     return path

@@ -109,9 +109,9 @@ def test_peers_compute_the_same(has_detail):
     evaluator = Evaluator([bound], precision="fp32")
     out = np.empty((len(bound.vertices), 6), dtype=np.float32)
     evaluator.evaluate(case.joint_positions[0], case.inputs[0], [out])
-    networks = network_case(bound, case.joint_positions[0], case.inputs[0, 0, :3], evaluator)
-    assert networks.expected.shape == (1, 12 * len(bound.node_rest) + (7 if has_detail else 0))
-    skinning = skinning_case(bound, evaluator.node_transforms(), evaluator.features())
+    networks = network_case(bound, case.joint_positions[0], case.inputs[0])
+    assert networks.expected.shape == (1, 12 * len(bound.node_rest) + (120 if has_detail else 0))
+    skinning = skinning_case(bound, evaluator.node_transforms(), evaluator.detail_offsets())
     np.testing.assert_allclose(out, skinning.expected, atol=1e-5)
     for peers, task in ((NETWORK_PEERS, networks), (SKINNING_PEERS, skinning)):
         _, missing = prepare_peers(peers, task, task.expected)

@@ -92,7 +92,7 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
 @pytest.mark.parametrize("level", LEVELS)
 def test_detail_turns_them(level, make_garment, make_pose, monkeypatch):
     """Rest normals, which are carried along without faces, know nothing of folds. Positions are the same; so is what is
-    skinned by garment nodes and features."""
+    skinned by garment nodes and detail nodes."""
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", level)
     rng = np.random.default_rng(41)
     plain = make_garment(rng, vertices=90, detail_nodes=12)
@@ -106,7 +106,7 @@ def test_detail_turns_them(level, make_garment, make_pose, monkeypatch):
     (expected,) = clouds(ReferenceFrame([garment]), [garment], pose, row)
     assert np.median(np.abs(shown - expected).max(axis=1)) < 1e-5
     skinned = np.empty_like(shown)
-    Skinner(garment, precision="fp32").skin(frame.node_transforms(), skinned, frame.features())
+    Skinner(garment).skin(frame.node_transforms(), skinned, frame.detail_offsets())
     assert np.array_equal(skinned, shown)
 
 

@@ -28,17 +28,17 @@ def test_a_joint_that_is_not_finite_raises_and_writes_nothing(bad, make_garment,
 
 
 def test_a_frame_that_networks_spoil_leaves_the_last_good_one(make_garment, make_pose):
-    """Garment nodes and features go together: those of two frames make no drape."""
+    """Garment nodes and detail nodes go together: those of two frames make no drape."""
     rng = np.random.default_rng(12)
     garment = make_garment(rng, detail_nodes=9)
     frame, (positions, gravity) = NativeFrame([garment]), make_pose(rng, garment)
     clouds(frame, [garment], positions, told(gravity))
-    nodes, features = frame.node_transforms(), frame.features()
-    assert features.any()
+    nodes, offsets = frame.node_transforms(), frame.detail_offsets()
+    assert offsets.any()
     for huge in (1e30, 3e38):
-        with pytest.raises(ValueError, match="corrections of garment nodes|features"):
+        with pytest.raises(ValueError, match="corrections of garment nodes|detail_offsets"):
             clouds(frame, [garment], positions, told(huge * gravity))
-        assert np.array_equal(frame.node_transforms(), nodes) and np.array_equal(frame.features(), features)
+        assert np.array_equal(frame.node_transforms(), nodes) and np.array_equal(frame.detail_offsets(), offsets)
 
 
 def test_a_vanishing_normal_does_not_make_nan(make_garment, make_pose):
@@ -108,6 +108,59 @@ def changed(array, index, value):
 )
 def test_malformed_garment_raises_value_error(change, message, make_garment):
     garment = make_garment(np.random.default_rng(14), detail_nodes=9, fabrics=2)
+    NativeFrame([garment])
+    with pytest.raises(ValueError, match=message):
+        NativeFrame([replace(garment, **change(garment))])
+
+
+SKIN = ("skin_positions", "skin_normals", "skin_bones", "skin_weights")
+WITHOUT_DETAIL = {
+    "contact_detail_nodes": np.empty((25, 0), np.int32),
+    "contact_detail_weights": np.empty((25, 0), np.float32),
+    **{f"between_{name}": np.empty((0, 0), kind) for name, kind in (("nodes", np.int32), ("weights", np.float32))},
+    **{f"between_{name}": np.empty(0, np.float32) for name in ("heights", "gaps")},
+    "between_blocks": np.empty(0, np.int32),
+}
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda g: {name: getattr(g, name)[:-1] for name in SKIN}, "23 with 2 bones each; expected a multiple of 8"),
+        (
+            lambda g: {name: getattr(g, name)[:, :0].copy() for name in SKIN[2:]},
+            "24 with 0 bones each; .* with at least one",
+        ),
+        (lambda g: dict(skin_normals=g.skin_normals[:-1]), r"skin_normals must be .* of shape \(24, 3\)"),
+        (lambda g: dict(skin_positions=changed(g.skin_positions, (0, 2), np.nan)), r"skin_positions\[2\].* is nan"),
+        (lambda g: dict(skin_bones=changed(g.skin_bones, (1, 0), 5)), r"skin_bones\[2\] is 5; must be in \[0, 5\)"),
+        (lambda g: dict(contact_sides=changed(g.contact_sides, (1, 0), 2)), r"contact_sides\[3\] is 2; .* \[-1, 2\)"),
+        (lambda g: dict(contact_sides=changed(g.contact_sides, (0, 1), -2)), r"contact_sides\[1\] is -2; .* \[-1, 2\)"),
+        (lambda g: dict(contact_sides=g.contact_sides[:, 1:].copy()), "contact_sides are 2 x 2; expected 2 x 3"),
+        (
+            lambda g: dict(contact_sides=np.concatenate([g.contact_sides] * 2)),
+            "contact_sides are 4 x 3; expected 2 x 3",
+        ),
+        (lambda g: dict(contact_gaps=g.contact_gaps[1:]), r"contact_gaps must be .* of shape \(25,\)"),
+        (
+            lambda g: dict(contact_influence_nodes=changed(g.contact_influence_nodes, (0, 1), 6)),
+            r"contact_influence_nodes\[1\] is 6",
+        ),
+        (
+            lambda g: dict(contact_detail_nodes=changed(g.contact_detail_nodes, (0, 1), 9)),
+            r"contact_detail_nodes\[1\] is 9",
+        ),
+        (lambda g: WITHOUT_DETAIL, "contact_detail_nodes are 0 a sample; .* at least one with detail"),
+        (lambda g: dict(between_nodes=changed(g.between_nodes, (1, 0), 9)), r"between_nodes\[3\] is 9"),
+        (lambda g: dict(between_weights=g.between_weights[:, 1:].copy()), r"between_weights must be .* \(25, 3\)"),
+        (lambda g: dict(between_heights=g.between_heights[1:]), r"between_heights must be .* of shape \(25,\)"),
+        (lambda g: dict(between_gaps=changed(g.between_gaps, 3, np.inf)), r"between_gaps\[3\].* is inf"),
+        (lambda g: dict(between_blocks=g.between_blocks[:1]), "between_blocks are 1; expected 2"),
+        (lambda g: dict(between_blocks=changed(g.between_blocks, 1, 2)), r"between_blocks\[1\] is 2; .* \[0, 2\)"),
+    ],
+)
+def test_malformed_contact_raises_value_error(change, message, make_garment):
+    garment = make_garment(np.random.default_rng(14), detail_nodes=9, skin_blocks=3)
     NativeFrame([garment])
     with pytest.raises(ValueError, match=message):
         NativeFrame([replace(garment, **change(garment))])

@@ -2,13 +2,12 @@
 
 import numpy as np
 
+from reference.contact import clearance, keep_out
 from reference.frame_input import FrameInput
 from reference.garment_nodes import correct_nodes, pose_nodes
-from reference.guard.cloth_dents import dents
-from reference.guard.skin_guard import kept_out
 from reference.layer_order import LayerOrder
 from reference.networks import last_hidden, mlp, silu
-from reference.pace import FeaturePace, Pace
+from reference.pace import Pace
 from reference.skeleton import bone_transforms, pose_vector
 from reference.skinning import face_normals, skin, unit
 from reference.sway_network import SwayNetwork
@@ -39,7 +38,7 @@ class ReferenceFrame:
         layers = []
         for garment, row, jumped in zip(self._garments, inputs, jumps):
             nodes = garment.drape(q, row, jumped)
-            positions, normals = skin(garment.bound, nodes, garment.features, garment.dents)
+            positions, normals = skin(garment.bound, nodes, garment.detail_offsets)
             layers.append(np.concatenate([positions, unit(normals)], axis=1))
         for outer in range(len(layers)):
             for steady, yielding, order in self._orders:
@@ -55,9 +54,14 @@ class ReferenceFrame:
         """chi (m, 3, 4) of a garment in the last frame."""
         return self._garments[garment].nodes
 
-    def features(self, garment=0):
-        """(F,) what moved the detail nodes of a garment in the last frame; () without detail."""
-        return self._garments[garment].features
+    def detail_offsets(self, garment=0):
+        """(D, 3) of the detail nodes of a garment in the last frame; (0, 3) without detail."""
+        return self._garments[garment].detail_offsets
+
+    def clearance(self, garment=0):
+        """(s + t,) [m] how far a garment was from the skin in the last frame."""
+        of = self._garments[garment]
+        return clearance(of.bound, of.bones, of.nodes, of.detail_offsets)
 
     def corrections(self, garment=0):
         """(12 m,) what the networks made of a garment in the last frame."""
@@ -68,7 +72,7 @@ class _Garment:
     """A bound garment and what it remembers."""
 
     def __init__(self, bound):
-        self.bound, self._pace, self._feature_pace = bound, Pace(), FeaturePace(bound.detail_offsets)
+        self.bound, self._pace = bound, Pace()
         self._sway = SwayNetwork(bound) if bound.sway_layers else None
 
     def drape(self, q, row, jumped):
@@ -78,11 +82,11 @@ class _Garment:
         bones = bone_transforms(*skeleton, q - bound.dof_rest)
         modulation = mlp(bound.pose_layers, pose_vector(q, bound.dof_lower, bound.dof_upper, row.gravity))
         inputs = bones[bound.deformer_bones].reshape(-1)
-        still = self.corrections = mlp(bound.deformer_layers, inputs, modulation)
-        passed, self.features = -1.0 if jumped else row.passed, ()
+        self.corrections = mlp(bound.deformer_layers, inputs, modulation)
+        passed, offsets = -1.0 if jumped else row.passed, np.zeros((0, 3))
         for weight, bias in bound.detail_layers:
-            wanted = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
-            self.features = self._feature_pace.kept(wanted, passed)
+            features = silu(weight @ last_hidden(bound.deformer_layers, inputs, modulation) + bias)
+            offsets = (bound.detail_offsets.astype(np.float64) @ features).reshape(-1, 3)
         if self._sway is not None:
             if row.sway > 0:
                 self.corrections = self.corrections + row.sway * self._sway.share(bones) * self._sway.offsets(q, row)
@@ -90,8 +94,7 @@ class _Garment:
                 self._sway.forget()
         posed = pose_nodes(bones, bound.node_bone, bound.node_positions.astype(np.float64))
         nodes = correct_nodes(posed, self.corrections)
-        nodes = self._pace.kept(posed, nodes, passed)
-        sway = correct_nodes(posed, self.corrections) - correct_nodes(posed, still)
-        self.nodes, still_moved = kept_out(bound, bones, nodes, sway, self.features)
-        self.dents = dents(bound, bones, self.nodes, still_moved, self.features)
+        nodes, offsets = self._pace.kept(posed, nodes, offsets, passed)
+        self.bones = bones
+        self.nodes, self.detail_offsets = keep_out(bound, bones, nodes, offsets)
         return self.nodes

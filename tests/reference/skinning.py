@@ -3,27 +3,23 @@
 import numpy as np
 
 
-def rest_offsets(garment, features, dents=None):
-    """What features (F,) add to rest vertices (n, 3): through detail nodes, of which each vertex goes with a few."""
-    offsets = (garment.detail_offsets.astype(np.float64) @ features).reshape(-1, 3)
-    if dents is not None:
-        offsets = offsets + dents
+def rest_offsets(garment, offsets):
+    """What offsets of detail nodes (D, 3) add to rest vertices (n, 3), of which each goes with a few of them."""
     return np.einsum("nj,nji->ni", garment.detail_weights.astype(np.float64), offsets[garment.detail_nodes])
 
 
-def skin(garment, nodes, features=(), dents=None):
+def skin(garment, nodes, offsets=()):
     """Positions (n, 3), x' = sum_i w_i chi_i chi-bar_i^-1 x, and normals (n, 3), not yet of unit length: the cofactors
     of the blended linear part times those at rest.
 
     garment: node_rest (m, 3), vertices, normals (n, 3), influence_nodes, influence_weights (n, K). nodes: (m, 3, 4).
-    features: (F,), of a garment with detail, which move the rest vertices before. dents: (D, 3), what else moves its
-    detail nodes.
+    offsets: (D, 3) of detail nodes, of a garment with detail, which move the rest vertices before.
     """
     linear, rest = nodes[:, :, :3], garment.node_rest.astype(np.float64)
     shift = nodes[:, :, 3:] - linear @ rest[..., None]
     weights, matrices = garment.influence_weights.astype(np.float64), np.concatenate([linear, shift], axis=2)
     blended = np.einsum("nk,nkij->nij", weights, matrices[garment.influence_nodes])
-    vertices = garment.vertices.astype(np.float64) + (rest_offsets(garment, features, dents) if len(features) else 0)
+    vertices = garment.vertices.astype(np.float64) + (rest_offsets(garment, offsets) if len(offsets) else 0)
     positions = blended[:, :, :3] @ vertices[..., None] + blended[:, :, 3:]
     x, y, z = np.moveaxis(blended[:, :, :3], 2, 0)
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)

@@ -20,14 +20,15 @@ def unfolded_drape(model, avatar, modulation, joint_positions, gravity):
     return unfolded_nodes(model, *_posed(model, avatar, modulation, joint_positions, gravity))
 
 
-def unfolded_features(model, avatar, modulation, joint_positions, gravity):
-    """(F,) of the same, () of a model without detail."""
+def unfolded_offsets(model, avatar, modulation, joint_positions, gravity):
+    """Of the same, offsets of detail nodes (D, 3); () of a model without detail."""
     if model.detail is None:
         return ()
     bones, carried, modulation, theta = _posed(model, avatar, modulation, joint_positions, gravity)
     posed = pose_nodes(bones, model.node_bone, carried)
     by_pose = mlp(model.pose_modulator, theta, modulation)
-    return silu(linear(model.detail.features, last_hidden(model.node_deformer, posed.reshape(-1), by_pose)))
+    features = silu(linear(model.detail.features, last_hidden(model.node_deformer, posed.reshape(-1), by_pose)))
+    return (model.detail.offsets.astype(np.float64) @ features).reshape(-1, 3)
 
 
 def _posed(model, avatar, modulation, joint_positions, gravity):

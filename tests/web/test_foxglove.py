@@ -52,7 +52,7 @@ def run(converter, *messages):
 def test_a_scene_has_the_garments_as_python_skins_them(converter):
     """0.1 mm at most; nothing before the mesh has come, for the mesh itself, and of garment nodes of another mesh."""
     models = [load_garment_model(name) for name in GARMENTS]
-    outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), precision="fp32")
+    outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig))
     node = PlayedNode(outfit, [f"/drape_node/{name}" for name in GARMENTS])
     pose = load_motion("walk").positions_for(outfit.rig).astype(np.float32)[12]
     frame = {topic: message | {"header": HEADER} for topic, message in node.frame(pose).items() if "nodes" in topic}
@@ -70,6 +70,6 @@ def test_a_scene_has_the_garments_as_python_skins_them(converter):
         assert np.array_equal(triangles["indices"], layer.faces.ravel())
         points = np.array([[point[axis] for axis in "xyz"] for point in triangles["points"]])
         expected = np.empty((len(points), 6), dtype=np.float32)
-        transforms, features = (np.array(message[name], np.float32) for name in ("transforms", "features"))
-        Skinner(layer.bound_visible, precision="fp32").skin(transforms.reshape(-1, 3, 4), expected, features)
+        transforms, offsets = (np.array(message[name], np.float32) for name in ("transforms", "detail_offsets"))
+        Skinner(layer.bound_visible).skin(transforms.reshape(-1, 3, 4), expected, offsets.reshape(-1, 3))
         assert np.linalg.norm(points - expected[:, :3], axis=1).max() < 1e-4

@@ -67,7 +67,7 @@ def test_vertices_are_those_that_python_skins(played, poses, monkeypatch):
     (frame,) = [played.frame(poses[0])]
     for garment, layer in zip(garments, played.outfit.layers):
         nodes = frame[f"{garment['topics']}/garment_nodes"]
-        expected = skinned(layer.bound_visible, played.outfit.precision, nodes)
+        expected = skinned(layer.bound_visible, nodes)
         cloud = np.frombuffer(base64.b64decode(garment["positions"]), np.float32).reshape(-1, 3) @ FROM_ROOT_FRAME
         normals = np.frombuffer(base64.b64decode(garment["normals"]), np.float32).reshape(-1, 3) @ FROM_ROOT_FRAME
         assert garment["name"] == layer.name and np.array_equal(garment["faces"], layer.faces.ravel())
@@ -75,19 +75,19 @@ def test_vertices_are_those_that_python_skins(played, poses, monkeypatch):
         assert (normals * expected[:, 3:]).sum(axis=1).min() > 0.99
 
 
-def skinned(data: SkinningData, precision, nodes) -> np.ndarray:
+def skinned(data: SkinningData, nodes) -> np.ndarray:
     """(n, 6)"""
     out = np.empty((len(data.vertices), 6), dtype=np.float32)
     transforms = np.array(nodes["transforms"], np.float32).reshape(-1, 3, 4)
-    Skinner(data, precision=precision).skin(transforms, out, np.array(nodes["features"], np.float32))
+    Skinner(data).skin(transforms, out, np.array(nodes["detail_offsets"], np.float32).reshape(-1, 3))
     return out
 
 
-def test_a_frame_takes_7_kb(played, poses):
+def test_a_frame_takes_19_kb(played, poses):
     """A garment, where its cloud takes 24 bytes a vertex."""
     for topic, message in played.frame(poses[0]).items():
         if topic.endswith("garment_nodes"):
-            assert len(encoded(topic, message, "cbor")) < 7000
+            assert len(encoded(topic, message, "cbor")) < 19000
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,10 @@ def test_a_frame_takes_7_kb(played, poses):
     [
         ({"mesh": {"faces": [0, 1, 99999]}}, 'garment mesh "skirt": faces[2] is 99999'),
         ({"mesh": {"node_rest": [0.0]}}, 'garment mesh "skirt": node_rest has 1 numbers; expected 384'),
-        ({"mesh": {"precision": "fp8"}}, "garment mesh \"skirt\": precision 'fp8' is unknown"),
+        ({"mesh": {"detail_node_count": 9}}, 'garment mesh "skirt": detail_nodes'),
         ({"nodes": {"revision": 2}}, "garment nodes of revision 2; the mesh has revision 3"),
         ({"nodes": {"transforms": [1.0]}}, "garment nodes have 1 numbers of transforms; the mesh wants 1536"),
+        ({"nodes": {"detail_offsets": [1.0]}}, "garment nodes have 1 numbers of detail_offsets; the mesh wants 3072"),
         ({"nodes": {"transforms": ["NaN"] * 1536}}, "node_transforms[0] is nan"),
     ],
 )

@@ -57,21 +57,21 @@ class BenchmarkCase:
 
 @dataclass(frozen=True)
 class SkinningCase:
-    """Skinning and normals of faces alone. matrices: (m, 3, 4) float32, from rest to posed garment. features: (F,)
-    float32 that move detail nodes. expected: (n, 6) float32."""
+    """Skinning and normals of faces alone. matrices: (m, 3, 4) float32, from rest to posed garment.
+    detail_offsets: (D, 3) float32. expected: (n, 6) float32."""
 
     bound: BoundGarment
     matrices: np.ndarray
-    features: np.ndarray
+    detail_offsets: np.ndarray
     expected: np.ndarray
 
 
-def skinning_case(bound: BoundGarment, node_transforms: np.ndarray, features: np.ndarray) -> SkinningCase:
-    """The skinning of a bound garment by given garment nodes (m, 3, 4) and features: positions and unit normals."""
+def skinning_case(bound: BoundGarment, node_transforms: np.ndarray, detail_offsets: np.ndarray) -> SkinningCase:
+    """Positions and unit normals of a bound garment by garment nodes (m, 3, 4) and offsets of detail nodes (D, 3)."""
     expected = np.empty((len(bound.vertices), 6), dtype=np.float32)
-    Skinner(bound, precision="fp32").skin(node_transforms, expected, features)
+    Skinner(bound).skin(node_transforms, expected, detail_offsets)
     matrices = skinning_matrices(node_transforms.astype(np.float64), bound.node_rest).astype(np.float32)
-    return SkinningCase(bound, matrices, features, expected)
+    return SkinningCase(bound, matrices, detail_offsets, expected)
 
 
 def model_case(model: str | Path, *, fit: float | None = None) -> BenchmarkCase:

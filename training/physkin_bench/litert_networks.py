@@ -1,6 +1,6 @@
 """The two per-frame networks as a LiteRT model, written by the schema that ai-edge-litert brings, and how to run it.
 
-Dimensions: `p` pose vector, `u` bones that garment nodes follow, `m` garment nodes, `F` features.
+Dimensions: `p` pose vector, `u` bones that garment nodes follow, `m` garment nodes, `D` detail nodes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KINDS = {"mul": ("MUL", "Mul"), "add": ("ADD", "Add"), "sigmoid": ("LOGISTIC", "
 @dataclass(frozen=True)
 class NetworkCase:
     """A bound garment's networks and what they are given. pose: (1, p) and bones: (1, 12 u) float32 inputs. expected:
-    (1, 12 m + F) float32, corrections and then features."""
+    (1, 12 m + 3 D) float32, corrections and then offsets of detail nodes."""
 
     bound: BoundGarment
     pose: np.ndarray
@@ -32,22 +32,25 @@ class NetworkCase:
     expected: np.ndarray
 
 
-def network_case(bound: BoundGarment, pose: np.ndarray, gravity: np.ndarray, evaluator: Evaluator) -> NetworkCase:
-    """At a pose that an evaluator has just draped. pose: (d,) [rad]; gravity: (3,) unit, root frame."""
+def network_case(bound: BoundGarment, pose: np.ndarray, inputs: np.ndarray) -> NetworkCase:
+    """At a pose (d,) float32 [rad], inputs (1, 13) as of `FrameInput.rows`, before cloth is kept out of the skin."""
+    evaluator = Evaluator([bound.without_contact], precision="fp32")
+    evaluator.evaluate(pose, inputs, [np.empty((len(bound.vertices), 3), dtype=np.float32)])
     q, heads = pose.astype(np.float64), bound.bone_heads.astype(np.float64)
     bones = forward_kinematics(bound.bone_parents, heads, bound.dof_bone, bound.dof_axis, q - bound.dof_rest)
-    read = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), gravity)
+    read = pose_vector(q, bound.dof_lower.astype(np.float64), bound.dof_upper.astype(np.float64), inputs[0, :3])
     return NetworkCase(
         bound,
         pose=read[None].astype(np.float32),
         bones=bones[bound.deformer_bones].reshape(1, -1).astype(np.float32),
-        expected=np.concatenate([evaluator.corrections().ravel(), evaluator.features()])[None],
+        expected=np.concatenate([evaluator.corrections().ravel(), evaluator.detail_offsets().ravel()])[None],
     )
 
 
 def weight_count(bound: BoundGarment) -> int:
     """Network weights, biases not counted: the multiply-adds of a frame."""
-    return sum(weight.size for weight, _ in (*bound.pose_layers, *bound.deformer_layers, *bound.detail_layers))
+    layers = (*bound.pose_layers, *bound.deformer_layers, *bound.detail_layers)
+    return sum(weight.size for weight, _ in layers) + bound.detail_offsets.size
 
 
 def litert_networks(case: NetworkCase, *, int8: bool):
@@ -84,7 +87,9 @@ def _model(case: NetworkCase, *, int8: bool) -> bytes:
         y = activate(writer.add("add", y, writer.dense(x, (weight[shift], bias[shift]))))
         start = shift.stop
     writer.graph.outputs = [writer.dense(y, bound.deformer_layers[-1])]
-    writer.graph.outputs += [activate(writer.dense(y, layer)) for layer in bound.detail_layers]
+    for layer in bound.detail_layers:
+        last = bound.detail_offsets, np.zeros(len(bound.detail_offsets), dtype=np.float32)
+        writer.graph.outputs += [writer.dense(activate(writer.dense(y, layer)), last)]
     builder = flatbuffers.Builder()
     builder.Finish(writer.model.Pack(builder), file_identifier=b"TFL3")
     return bytes(builder.Output())

@@ -36,8 +36,8 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
         for level in levels:
             separator = native.LimbSeparator(shape, *astuple(SeparationSettings()), level)
             calls[f"separate_limbs.{level}"] = partial(separator.separate, arms_down, np.empty_like(arms_down))
-    networks = network_case(bound, pose, inputs[0, :3], evaluators["fp32"])
-    skinning = skinning_case(bound, evaluators["fp32"].node_transforms(), evaluators["fp32"].features())
+    networks = network_case(bound, pose, inputs)
+    skinning = skinning_case(bound, evaluators["fp32"].node_transforms(), evaluators["fp32"].detail_offsets())
     missing = {}
     for kind, engines, task in (("networks", NETWORK_PEERS, networks), ("skinning", SKINNING_PEERS, skinning)):
         built, left_out = prepare_peers(engines, task, task.expected)
@@ -53,7 +53,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
     timings |= time_in_turns(cold, rounds=min(rounds, COLD_ROUNDS), repeats=1, before_each=flush)
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
-    figures |= {"features": len(skinning.features), "network_weights": weight_count(bound)}
+    figures |= {"detail_nodes": len(skinning.detail_offsets), "network_weights": weight_count(bound)}
     figures |= timing_keys(timings)
     for precision in ("bf16", "int8"):
         errors = _errors(case, evaluators["fp32"], evaluators[precision])

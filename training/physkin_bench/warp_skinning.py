@@ -10,18 +10,6 @@ __all__ = ["warp_skinning"]
 
 
 @wp.kernel
-def move_detail(
-    offsets: wp.array2d(dtype=wp.float32), features: wp.array(dtype=wp.float32), moved: wp.array2d(dtype=wp.float32)
-):
-    """One number of the detail nodes' offsets (D, 3)."""
-    row = wp.tid()
-    total = wp.float32(0.0)
-    for k in range(features.shape[0]):
-        total += offsets[row, k] * features[k]
-    moved[row // 3, row % 3] = total
-
-
-@wp.kernel
 def skin_vertex(
     matrices: wp.array2d(dtype=wp.vec4),
     nodes: wp.array2d(dtype=wp.int32),
@@ -81,11 +69,7 @@ def warp_skinning(case: SkinningCase):
     inputs += [array(bound.influence_weights, wp.float32), array(bound.vertices, wp.vec3)]
     inputs += [array(bound.detail_nodes, wp.int32), array(bound.detail_weights, wp.float32)]
     out = wp.empty((len(bound.vertices), 2), dtype=wp.vec3, device="cpu")
-    moved = wp.empty((len(bound.detail_offsets) // 3, 3), dtype=wp.float32, device="cpu")
-    if len(moved):
-        offsets = [array(bound.detail_offsets, wp.float32), array(case.features, wp.float32)]
-        record(move_detail, len(bound.detail_offsets), offsets, moved)
-    record(skin_vertex, len(bound.vertices), [*inputs, moved], out)
+    record(skin_vertex, len(bound.vertices), [*inputs, array(case.detail_offsets, wp.float32)], out)
     record(add_face, len(bound.faces), [array(bound.faces, wp.int32)], out)
     record(normalise, len(bound.vertices), [], out)
 

@@ -26,6 +26,15 @@ const float* padded_rows(const float* values, int count, int width, std::size_t 
   return rows;
 }
 
+// From the node deformer's last hidden layer to features, and from these to offsets of detail nodes.
+std::optional<Mlp> detail_network(const BoundGarment& g, Precision precision, const Kernels& kernels, Arena& arena) {
+  if (!g.has_detail()) return {};
+  const std::vector<float> no_bias(std::size_t(g.detail_numbers));
+  const DenseWeights offsets{g.detail_numbers, g.detail_features, g.detail_offsets, no_bias.data()};
+  const std::vector<DenseWeights> layers{g.detail_layers[0], offsets};
+  return std::make_optional<Mlp>(layers, precision, precision, kernels, arena);
+}
+
 const BoundGarment& validated(const BoundGarment& garment) {
   validate(garment);
   return garment;
@@ -42,18 +51,15 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       fabric_sway_shifts_(arena_.copy(g.fabric_sway_shifts, std::size_t(g.fabrics) * std::size_t(g.fabric_sway))),
       fabric_sway_(g.fabric_sway),
       node_deformer_(g.deformer_layers, of_first_layers(precision), precision, kernels, arena_),
-      detail_features_(g.has_detail() ? std::make_optional<Mlp>(g.detail_layers, precision, precision, kernels, arena_,
-                                                                Activation::silu)
-                                      : std::optional<Mlp>()),
+      detail_(detail_network(g, precision, kernels, arena_)),
       learnt_sway_(g.sways_by_network()
                        ? std::make_optional<LearntSway>(g, of_first_layers(precision), precision, kernels, arena_)
                        : std::optional<LearntSway>()),
       garment_nodes_(g, arena_),
-      pace_(g.nodes, arena_),
-      feature_pace_(g.has_detail() ? std::make_optional<FeaturePace>(g, arena_) : std::optional<FeaturePace>()),
+      pace_(g.nodes, g.has_detail() ? g.detail_numbers / 3 : 0, arena_),
       skin_(g.meets_skin() ? std::make_optional<SkinSurface>(g, kernels, arena_) : std::optional<SkinSurface>()),
       contact_(g.meets_skin() ? std::make_optional<Contact>(g, kernels, arena_) : std::optional<Contact>()),
-      skinner_(g, precision, kernels, arena_),
+      skinner_(g, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),
@@ -64,11 +70,11 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       still_corrections_(arena_.take<float>(12 * g.nodes)),
       corrections_(still_corrections_),
-      features_(arena_.take<float>(padded_to_group(skinner_.features()) + kGroup)) {}
+      detail_offsets_(pace_.offsets()) {}
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
   Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);
-  if (!bad && detail_features_) bad = skinner_.check_features(given_features_);
+  if (!bad && detail_) bad = skinner_.check_offsets(given_offsets_);
   if (bad) forget();
   return bad;
 }
@@ -79,13 +85,8 @@ Rejection GarmentEvaluator::check_nodes() noexcept {
   return bad;
 }
 
-void GarmentEvaluator::forget_pace() noexcept {
-  pace_.forget();
-  if (feature_pace_) feature_pace_->forget();
-}
-
 void GarmentEvaluator::forget() noexcept {
-  forget_pace();
+  pace_.forget();
   if (learnt_sway_) learnt_sway_->forget();
 }
 
@@ -130,20 +131,16 @@ void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
   const float* modulation =
       fabric_ < 0 ? nullptr : fabric_modulations_ + std::size_t(fabric_) * pose_modulator_.modulation_room();
   corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, modulation));
-  if (detail_features_) given_features_ = detail_features_->run(node_deformer_.last_hidden(), nullptr);
+  if (detail_) given_offsets_ = detail_->run(node_deformer_.last_hidden(), nullptr);
   if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, bone_transforms_, input);
 }
 
 void GarmentEvaluator::compose_nodes(const GarmentInput& input) noexcept {
   garment_nodes_.compose(bone_transforms_, corrections_, node_transforms_);
   const float passed = jumped() ? -1.0f : input.passed;
-  if (feature_pace_) feature_pace_->keep(skinner_, given_features_, passed, features_);
-  detail_offsets_ = skinner_.detail_offsets(features_);
-  if (input.passed == kStandsAlone) {
-    forget_pace();
-  } else {
-    pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_);
-  }
+  pace_.keep(garment_nodes_, bone_transforms_, passed, node_transforms_, given_offsets_);
+  if (input.passed == kStandsAlone) pace_.forget();
+  detail_offsets_ = pace_.offsets();
   if (!contact_) return;
   skin_->pose(bone_transforms_);
   detail_offsets_ = contact_->keep_out(skin_->posed(), node_transforms_, detail_offsets_);

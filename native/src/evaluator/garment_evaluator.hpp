@@ -61,16 +61,16 @@ class GarmentEvaluator {
   // What the networks last gave, (nodes, 12); zeros before the first frame.
   const float* corrections() const { return corrections_; }
 
-  // What moves detail nodes in the last frame that was not refused, (feature_count); zeros before the first one.
-  const float* features() const { return features_; }
+  // Offsets of detail nodes in the last frame that was not refused, (detail_nodes, 3) at rest, metres; zeros before the
+  // first one.
+  const float* detail_offsets() const { return detail_offsets_; }
 
   int dofs() const { return rig_.dofs(); }
   int nodes() const { return garment_nodes_.count(); }
-  int feature_count() const { return skinner_.features(); }
+  int detail_nodes() const { return skinner_.detail_nodes(); }
   int vertex_count() const { return skinner_.vertex_count(); }
 
  private:
-  void forget_pace() noexcept;
   void forget() noexcept;  // all that was before
   void gather_deformer_input() noexcept;
   void weigh() noexcept;  // how gravity pulls in the pose vector
@@ -82,11 +82,10 @@ class GarmentEvaluator {
   const float *fabric_modulations_, *fabric_weights_, *fabric_sway_shifts_;
   int fabric_sway_, fabric_ = -1;
   Mlp node_deformer_;
-  std::optional<Mlp> detail_features_;
+  std::optional<Mlp> detail_;  // from the node deformer's last hidden layer to offsets of detail nodes
   std::optional<LearntSway> learnt_sway_;
   GarmentNodes garment_nodes_;
   Pace pace_;
-  std::optional<FeaturePace> feature_pace_;
   std::optional<SkinSurface> skin_;
   std::optional<Contact> contact_;
   Skinner skinner_;
@@ -101,9 +100,8 @@ class GarmentEvaluator {
   float* node_transforms_;
   const float* still_corrections_;  // without those of sway
   const float* corrections_;
-  const float* given_features_ = nullptr;  // by the networks; features_ is what is shown
-  float* features_;
-  const float* detail_offsets_ = nullptr;  // by features_, none without detail
+  const float* given_offsets_ = nullptr;  // of detail nodes, by the networks; none without detail
+  const float* detail_offsets_;           // that are shown
 };
 
 }  // namespace physkin

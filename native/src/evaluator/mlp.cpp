@@ -7,8 +7,8 @@
 namespace physkin {
 
 Mlp::Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels,
-         Arena& arena, Activation last)
-    : dense_(kernels.dense), fetch_ahead_(fetches_ahead()), last_(last) {
+         Arena& arena)
+    : dense_(kernels.dense), fetch_ahead_(fetches_ahead()) {
   int widest = 0;
   for (const DenseWeights& layer : layers) {
     layers_.push_back(pack_layer(layer, layers_.empty() ? first : others, kernels.layout, arena));
@@ -31,7 +31,7 @@ const float* Mlp::run(const float* input, const float* modulation) {
     const float* scale = hidden ? modulation : nullptr;
     const float* shift = scale == nullptr ? nullptr : scale + layer.outputs;
     float* output = buffers_[k % 2];
-    dense_[int(layer.precision)][fetch_ahead_](layer, hidden ? Activation::silu : last_,
+    dense_[int(layer.precision)][fetch_ahead_](layer, hidden ? Activation::silu : Activation::none,
                                                {input, scale, shift, quantised_, output});
     if (scale != nullptr) modulation += 2 * layer.outputs;
     input = output;

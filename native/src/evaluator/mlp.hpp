@@ -11,9 +11,8 @@ namespace physkin {
 class Mlp {
  public:
   // Packs the network weights, those of the first layer in a precision of their own; all layers but the last are
-  // followed by SiLU, that one by `last`.
-  Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels, Arena& arena,
-      Activation last = Activation::none);
+  // followed by SiLU.
+  Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels, Arena& arena);
 
   // input: 64-byte aligned, readable to a multiple of 64 bytes. modulation: [scale_0, shift_0, scale_1, shift_1, ...]
   // over the hidden activations, readable for kGroup floats beyond its end; null for none. Returns the outputs, valid
@@ -30,7 +29,6 @@ class Mlp {
  private:
   const DenseKernel (&dense_)[kPrecisionCount][2];
   bool fetch_ahead_;
-  Activation last_;
   std::vector<PackedLayer> layers_;
   std::int16_t* quantised_;
   float* buffers_[2];  // a layer reads one and writes the other

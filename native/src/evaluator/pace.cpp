@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
-#include <numeric>
 
 namespace physkin {
 namespace {
@@ -26,11 +24,21 @@ float distance(const Matrix3& a, const Matrix3& b) {
 
 }  // namespace
 
-Pace::Pace(int nodes, Arena& arena) : last_(arena.take<Last>(std::size_t(nodes))) {}
+Pace::Pace(int nodes, int detail_nodes, Arena& arena)
+    : detail_nodes_(detail_nodes),
+      last_(arena.take<Last>(std::size_t(nodes))),
+      offsets_(arena.take<float>(3 * std::size_t(detail_nodes))) {}
 
-void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float passed, float* transforms) noexcept {
+void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float passed, float* transforms,
+                const float* offsets) noexcept {
   const bool counts = any_ && passed >= 0;
-  const float allowed = kPace * passed;
+  keep_garment_nodes(nodes, bone_transforms, counts, kPace * passed, transforms);
+  keep_detail_nodes(offsets, counts, kPace * passed);
+  any_ = true;
+}
+
+void Pace::keep_garment_nodes(const GarmentNodes& nodes, const float* bone_transforms, bool counts, float allowed,
+                              float* transforms) noexcept {
   for (int i = 0; i < nodes.count(); ++i, transforms += 12) {
     const Affine bone = load_affine(bone_transforms + 12 * nodes.bone(i));
     Affine now = load_affine(transforms);
@@ -51,42 +59,29 @@ void Pace::keep(const GarmentNodes& nodes, const float* bone_transforms, float p
     }
     last = {linear, now.translation, carried};
   }
-  any_ = true;
 }
 
-FeaturePace::FeaturePace(const SkinningData& d, Arena& arena)
-    : features_(d.detail_features),
-      detail_nodes_(d.detail_numbers / 3),
-      step_(arena.take<float>(padded_to_group(d.detail_features) + kGroup)) {
-  float largest = 0;
+void Pace::keep_detail_nodes(const float* offsets, bool counts, float allowed) noexcept {
+  const int numbers = 3 * detail_nodes_;
+  bool may_be_fast = false;
+  if (counts) {
+    const float least = allowed / std::sqrt(3.0f);  // nearly always no number differs by as much
+    for (int k = 0; k < numbers; ++k) may_be_fast |= std::fabs(offsets[k] - offsets_[k]) > least;
+  }
+  if (!may_be_fast) {
+    std::copy_n(offsets, numbers, offsets_);
+    return;
+  }
   for (int node = 0; node < detail_nodes_; ++node) {
-    const float* rows = d.detail_offsets + 3 * std::ptrdiff_t(node) * features_;
-    largest = std::max(largest, std::inner_product(rows, rows + 3 * features_, rows, 0.0f));
+    float* last = offsets_ + 3 * node;
+    const Vector3 from = load_vector(last), wanted = load_vector(offsets + 3 * node), step = wanted - from;
+    const float square = dot(step, step);
+    const bool is_fast = square > allowed * allowed;
+    const Vector3 now = is_fast ? between(from, wanted, allowed / std::sqrt(square)) : wanted;
+    last[0] = now.x;
+    last[1] = now.y;
+    last[2] = now.z;
   }
-  farthest_ = std::sqrt(largest);
-}
-
-void FeaturePace::keep(Skinner& skinner, const float* wanted, float passed, float* features) noexcept {
-  const float allowed = kPace * passed;
-  float share = 1;
-  if (any_ && passed >= 0) {
-    std::transform(wanted, wanted + features_, features, step_, std::minus<>());
-    // Nearly always their size tells that no node is too fast.
-    if (farthest_ * std::sqrt(std::inner_product(step_, step_ + features_, step_, 0.0f)) > allowed) {
-      const float* offsets = skinner.detail_offsets(step_);
-      float fastest = 0;
-      for (int node = 0; node < detail_nodes_; ++node) {
-        fastest = std::max(fastest, length(load_vector(offsets + 3 * std::ptrdiff_t(node))));
-      }
-      if (fastest > allowed) share = allowed / fastest;
-    }
-  }
-  if (share < 1) {
-    for (int k = 0; k < features_; ++k) features[k] += share * step_[k];
-  } else {
-    std::copy_n(wanted, features_, features);
-  }
-  any_ = true;
 }
 
 }  // namespace physkin

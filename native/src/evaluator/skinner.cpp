@@ -1,7 +1,5 @@
 #include "evaluator/skinner.hpp"
 
-#include <vector>
-
 #include "evaluator/affine.hpp"
 
 namespace physkin {
@@ -13,18 +11,13 @@ void skinning_matrices(const float* node_transforms, const float* node_rest, int
   }
 }
 
-Skinner::Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena)
+Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(data.nodes),
-      features_(data.has_detail() ? data.detail_features : 0),
+      detail_nodes_(data.has_detail() ? data.detail_numbers / 3 : 0),
       blocks_(pack_skinning_blocks(data, arena)),
       node_rest_(arena.copy(data.node_rest, 3 * std::size_t(data.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {
-  if (data.has_detail()) {
-    const std::vector<float> no_bias(std::size_t(data.detail_numbers));
-    const DenseWeights offsets{data.detail_numbers, data.detail_features, data.detail_offsets, no_bias.data()};
-    detail_offsets_.emplace(std::vector<DenseWeights>{offsets}, precision, precision, kernels, arena);
-  }
   if (data.face_count > 0) {
     face_normals_.emplace(data, kernels, arena);
     auto* places = arena.take<std::int32_t>(std::size_t(blocks_.block_count) * kBlock);
@@ -38,15 +31,15 @@ Rejection Skinner::check(const float* node_transforms) const noexcept {
   return reject_beyond("node_transforms", node_transforms, 12 * std::size_t(nodes_), kLargest);
 }
 
-Rejection Skinner::check_features(const float* features) const noexcept {
-  return reject_beyond("features", features, std::size_t(features_), kLargest);
+Rejection Skinner::check_offsets(const float* offsets) const noexcept {
+  return reject_beyond("detail_offsets", offsets, 3 * std::size_t(detail_nodes_), kLargest);
 }
 
 void Skinner::skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
                    bool are_moved) noexcept {
   skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
   const bool into_places = face_normals_ && rows.with_normals && !are_moved;
-  kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_, offsets,
+  kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_, detail_nodes_ > 0 ? offsets : nullptr,
                 into_places ? face_normals_->places() : rows);
 }
 

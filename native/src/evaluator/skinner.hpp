@@ -4,7 +4,6 @@
 #include <optional>
 
 #include "evaluator/face_normals.hpp"
-#include "evaluator/mlp.hpp"
 #include "garment/bound_garment.hpp"
 #include "garment/finite.hpp"
 #include "kernels/arena.hpp"
@@ -24,22 +23,16 @@ void skinning_matrices(const float* node_transforms, const float* node_rest, int
 // there are no faces, as of points, skinning carries rest normals along.
 class Skinner {
  public:
-  // The data must be valid; they are copied into the arena. precision: of the offsets of detail nodes.
-  Skinner(const SkinningData& data, Precision precision, const Kernels& kernels, Arena& arena);
+  // The data must be valid; they are copied into the arena.
+  Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena);
 
   // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
   Rejection check(const float* node_transforms) const noexcept;
 
-  // Features of a frame, refused likewise.
-  Rejection check_features(const float* features) const noexcept;
+  // Offsets of detail nodes (detail_nodes, 3), at rest, metres: refused likewise.
+  Rejection check_offsets(const float* offsets) const noexcept;
 
-  // x, y, z [m] of what features move each detail node by, valid until the next ones; null without detail. Features
-  // are 64-byte aligned, readable for kGroup floats beyond.
-  const float* detail_offsets(const float* features) noexcept {
-    return detail_offsets_ ? detail_offsets_->run(features, nullptr) : nullptr;
-  }
-
-  // From transforms, and offsets by features, that were checked. Both write the rows, and allocate nothing;
+  // From transforms and offsets that were checked; these are not read without detail. Both write the rows, and allocate nothing;
   // compute_normals has nothing to do where normals are carried along. are_moved: in between somebody moves vertices, by
   // normals that are carried along first.
   void skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
@@ -47,14 +40,13 @@ class Skinner {
   void compute_normals(const VertexRows& rows, bool were_moved = false) noexcept;
 
   int nodes() const { return nodes_; }
-  int features() const { return features_; }  // 0 without detail
+  int detail_nodes() const { return detail_nodes_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
 
  private:
   const Kernels& kernels_;
-  int nodes_, features_;
+  int nodes_, detail_nodes_;
   SkinningBlocks blocks_;
-  std::optional<Mlp> detail_offsets_;
   std::optional<FaceNormals> face_normals_;
   SkinningBlocks blocks_into_places_;  // the same, with vertices in the order of these normals' places
   const float* node_rest_;             // (nodes, 3)

@@ -33,7 +33,6 @@ void visit_skinning_data(SkinningData& d, Visitor&& visit) {
   visit.indices("influence_nodes", d.influence_nodes, {&d.vertex_count, &d.influences}, 0, d.nodes);
   visit.floats("influence_weights", d.influence_weights, {&d.vertex_count, &d.influences});
   visit.indices("faces", d.faces, {&d.face_count, 3}, 0, d.vertex_count);
-  visit.floats("detail_offsets", d.detail_offsets, {&d.detail_numbers, &d.detail_features});
   visit.indices("detail_nodes", d.detail_nodes, {&d.detail_vertices, &d.detail_influences}, 0, d.detail_numbers / 3);
   visit.floats("detail_weights", d.detail_weights, {&d.detail_vertices, &d.detail_influences});
 }
@@ -66,6 +65,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.indices("deformer_bones", g.deformer_bones, {&g.deformer_bone_count}, 0, g.bones);
   visit.layers("deformer_layers", g.deformer_layers);
   visit.layers("detail_layers", g.detail_layers);
+  visit.floats("detail_offsets", g.detail_offsets, {&g.detail_numbers, &g.detail_features});
   visit.indices("node_bone", g.node_bone, {&g.nodes}, 0, g.bones);
   visit.floats("node_positions", g.node_positions, {&g.nodes, 3});
   visit.indices("sway_joints", g.sway_joints, {&g.sway_joint_count}, 0, g.dofs);
@@ -266,9 +266,7 @@ void check_sizes(const SkinningData& d) {
   if (d.detail_numbers % 3 != 0) {
     fail("detail_offsets have " + std::to_string(d.detail_numbers) + " rows; expected three for each detail node");
   }
-  if (d.has_detail() && (d.detail_influences < 1 || d.detail_features < 1)) {
-    fail("detail needs at least one feature, and a detail node a vertex");
-  }
+  if (d.has_detail() && d.detail_influences < 1) fail("detail needs a detail node a vertex");
 }
 
 // The layer that gives the features, where there is detail.
@@ -278,6 +276,7 @@ void check_features(const BoundGarment& g) {
          "; expected one with detail, and none without");
   }
   if (!g.has_detail()) return;
+  if (g.detail_features < 1) fail("detail needs at least one feature");
   if (g.deformer_layers.size() < 2) fail("detail needs a node deformer with a hidden layer");
   check_layers("detail_layers", g.detail_layers, g.deformer_layers.back().inputs);
   if (g.detail_layers[0].outputs != g.detail_features) {
@@ -288,10 +287,19 @@ void check_features(const BoundGarment& g) {
 
 }  // namespace
 
-SkinningData read_skinning_data(FieldSource& source) {
+SkinningData read_skinning_data(FieldSource& source, std::int64_t detail_nodes) {
   SkinningData data;
+  data.detail_numbers = numbers_of_detail(detail_nodes);
   visit_skinning_data(data, Reader{source});
   return data;
+}
+
+int numbers_of_detail(std::int64_t detail_nodes) {
+  constexpr std::int64_t kMost = 1 << 24;  // no garment comes near, and three times as many fit an int
+  if (detail_nodes < 0 || detail_nodes > kMost) {
+    fail("detail_node_count is " + std::to_string(detail_nodes) + "; allowed: 0 to " + std::to_string(kMost));
+  }
+  return 3 * int(detail_nodes);
 }
 
 BoundGarment read_bound_garment(FieldSource& source) {

@@ -22,11 +22,11 @@ struct SkinningData {
   const float* influence_weights = nullptr;       // (vertex_count, influences)
   const std::int32_t* faces = nullptr;            // (face_count, 3), none for a point set
 
-  // Offsets of rest vertices by features of a frame, through detail nodes that each vertex goes with; or none.
-  int detail_vertices = -1, detail_influences = -1, detail_numbers = -1, detail_features = -1;
+  // Detail nodes that each vertex goes with, whose offsets in a frame move rest vertices; or none. detail_numbers: x, y
+  // and z of each of them.
+  int detail_vertices = -1, detail_influences = -1, detail_numbers = -1;
   const std::int32_t* detail_nodes = nullptr;  // (detail_vertices, detail_influences)
   const float* detail_weights = nullptr;       // (detail_vertices, detail_influences)
-  const float* detail_offsets = nullptr;       // (detail_numbers, detail_features) x, y, z of each detail node
   bool has_detail() const { return detail_vertices > 0; }
 };
 
@@ -68,7 +68,11 @@ struct BoundGarment : SkinningData {
   const float* fabric_sway_shifts = nullptr;  // (fabrics, fabric_sway) of the first hidden activations of both parts of
                                               // the sway network
 
-  std::vector<DenseWeights> detail_layers;  // one, from the node deformer's last hidden layer to features, or none
+  // One, from the node deformer's last hidden layer to features, or none; and what a feature of 1 adds to x, y and z of
+  // each detail node.
+  std::vector<DenseWeights> detail_layers;
+  int detail_features = -1;
+  const float* detail_offsets = nullptr;  // (detail_numbers, detail_features)
 
   const std::int32_t* node_bone = nullptr;  // (nodes,)
   const float* node_positions = nullptr;    // (nodes, 3) canonical pose of this body
@@ -109,8 +113,11 @@ class FieldSource {
 // Of the bound garment file: raised when the fields of a garment change, or the file's form.
 constexpr std::uint32_t kBoundFileVersion = 12;
 
-// Reads every field; what the arrays hold is for `validate` to check.
-SkinningData read_skinning_data(FieldSource& source);
+// Reads every field; what the arrays hold is for `validate` to check. detail_nodes: how many there are; throws
+// std::invalid_argument where that is no number of detail nodes.
+SkinningData read_skinning_data(FieldSource& source, std::int64_t detail_nodes);
+// x, y and z of so many detail nodes; throws likewise.
+int numbers_of_detail(std::int64_t detail_nodes);
 BoundGarment read_bound_garment(FieldSource& source);
 
 // One field as others are to know it: "float32", "int32" or "layers", and whether its rows are vertices.

@@ -311,5 +311,5 @@ class SceneState:
         if self._splats is None:
             return None
         garment, skinner, look = self._splats
-        splats = skinner.skin(node_transforms[garment], self.outfit.features()[garment])
+        splats = skinner.skin(node_transforms[garment], self.outfit.detail_offsets()[garment])
         return SplatFrame(splats, garment, *look)

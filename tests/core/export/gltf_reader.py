@@ -101,6 +101,6 @@ def skinned_layers(outfit):
     """(v, 3) [m] of each layer where its garment nodes have it in the last frame: without the order of layers, which no
     engine keeps."""
     clouds = [np.empty((layer.vertex_count, 3), dtype=np.float32) for layer in outfit.layers]
-    for layer, nodes, features, cloud in zip(outfit.layers, outfit.node_transforms(), outfit.features(), clouds):
-        Skinner(layer.bound_visible).skin(nodes, cloud, features)
+    for layer, nodes, offsets, cloud in zip(outfit.layers, outfit.node_transforms(), outfit.detail_offsets(), clouds):
+        Skinner(layer.bound_visible).skin(nodes, cloud, offsets)
     return clouds

@@ -188,7 +188,7 @@ def test_detail_is_in_morph_targets(tmp_path, folded, motion, monkeypatch, capsy
         apart.append(1000 * np.linalg.norm(reader.skinned("folded", frame) - points, axis=1))
         normals = vertex_normals(points, model.garment.faces)
         skinned = unit(reader.skinned("folded", frame, "NORMAL"))
-        unturned.skin(outfit.node_transforms()[0], rows, outfit.features()[0])
+        unturned.skin(outfit.node_transforms()[0], rows, outfit.detail_offsets()[0])
         carried = in_gltf_world(rows[:, 3:], replace(motion, root_position=np.zeros_like(motion.root_position)), frame)
         turned.append([np.arccos(np.clip((each * normals).sum(axis=1), -1, 1)).mean() for each in (skinned, carried)])
     assert np.mean(apart) == pytest.approx(mean, abs=0.02) and np.max(apart) == pytest.approx(most, abs=0.1)

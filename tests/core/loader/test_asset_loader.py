@@ -118,7 +118,7 @@ def test_splats_and_why_they_cannot_be_used(asset_loader, tmp_path, garment_mode
     outfit, loaded = asset_loader.outfit(request("shorts", str(model_path), points=str(near)))
     assert loaded.splats.garment == 1 and not loaded.splats_refused
     outfit.drape(outfit.rig.rest)
-    told = outfit.node_transforms()[1], outfit.features()[1]
+    told = outfit.node_transforms()[1], outfit.detail_offsets()[1]
     file = read_splat_file(near)
     expected = SplatSkinner(bind_splats(outfit.layers[1], file.splats)).skin(*told)
     found = SplatSkinner(loaded.splats.bound).skin(*told)

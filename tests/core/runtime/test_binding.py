@@ -84,7 +84,8 @@ def point_cloud(garment):
 @pytest.mark.parametrize("other", [finer, coarser, cropped, point_cloud], ids=lambda f: f.__name__)
 def test_other_meshes_drape_onto_the_trained_surface(model, avatar, trained, other):
     """Within a fraction of a millimetre of the trained garment's drape on average, beyond what they were apart at rest;
-    in a sharp fold, whose corner the trained triangles cut off, several. The garment itself moves by decimetres."""
+    in a sharp fold, whose corner the trained triangles cut off, several. The garment itself moves by decimetres.
+    Contact folds it more: detail nodes beside each other move by as much as each of them lacks."""
     points = np.asarray(other(model.garment))
     gap = surface_distance(points, model.garment.vertices, model.garment.faces)
     draper = Draper(model, avatar, points=points)
@@ -93,7 +94,7 @@ def test_other_meshes_drape_onto_the_trained_surface(model, avatar, trained, oth
         assert draped.shape == (len(points), 6)
         distance = surface_distance(draped[:, :3], cloth, model.garment.faces)
         beyond = distance - gap
-        assert beyond.mean() < 6e-4 and np.quantile(beyond, 0.95) < 3e-3 and beyond.max() < 1e-2
+        assert beyond.mean() < 9e-4 and np.quantile(beyond, 0.95) < 4e-3 and beyond.max() < 1.5e-2
         assert np.linalg.norm(cloth - model.garment.vertices, axis=1).max() > 0.1
 
 

@@ -86,5 +86,6 @@ def test_other_outfits_are_refused(order, heads, message, c, two_layers, tmp_pat
 
 
 def test_matrices_on_steps_are_stored_in_bytes(stored):
-    """Those of shipped models, to the bit, as the walk above shows: their file takes half."""
-    assert len(stored) < 1.1e7
+    """Those of shipped models, to the bit, as the walk above shows: their file takes half, and 0.7 MB a garment for
+    contact."""
+    assert len(stored) < 1.2e7

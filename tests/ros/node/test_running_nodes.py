@@ -211,7 +211,7 @@ def test_splats_leave_half_of_the_time_to_clouds(draper, monkeypatch):
     monkeypatch.setattr(garment_stream, "perf_counter_ns", lambda: next(times))
     counts = []
     for _ in range(5):
-        messages.publish(publisher, draper.node_transforms(), draper.features(), 1, 2)
+        messages.publish(publisher, draper.node_transforms(), draper.detail_offsets(), 1, 2)
         counts.append(len(published))
     assert counts == [1, 1, 1, 2, 2]
 

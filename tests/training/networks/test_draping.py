@@ -9,7 +9,7 @@ import pytest
 import torch
 from random_models import random_avatar, random_model, random_pose, random_rotation
 from reference.skinning import skin
-from reference.unfolded_frame import unfolded_drape, unfolded_features
+from reference.unfolded_frame import unfolded_drape, unfolded_offsets
 
 from physkin_core.model.mlp import modulation_size
 from physkin_training.networks.draping import compose_nodes, delta_transforms
@@ -46,8 +46,8 @@ def test_the_whole_drape_agrees_with_the_reference(detail_nodes):
         posed = drape.posed_nodes(tensor(model.rig.bone_transforms(q, heads=avatar.bone_heads))[None], on_body)
         with torch.no_grad():
             vertices = drape(tensor(modulation)[None], tensor(q)[None], tensor(gravity)[None], posed)[0].numpy()
-        features = unfolded_features(model, avatar, modulation, q, gravity)
-        expected, _ = skin(worn, unfolded_drape(model, avatar, modulation, q, gravity), features)
+        offsets = unfolded_offsets(model, avatar, modulation, q, gravity)
+        expected, _ = skin(worn, unfolded_drape(model, avatar, modulation, q, gravity), offsets)
         np.testing.assert_allclose(vertices, expected, atol=1e-6)
 
 
