@@ -3,8 +3,8 @@
 The skin is points with normals that follow bones, in blocks of 8; samples of the cloth are in blocks of 16. What of the
 skin counts for a sample depends on how its normal agrees with the mean normal of each block of skin, with the side that
 the garment gives for these two blocks. Planes of the nearest points that count are blended. Where samples lack much
-garment nodes move; vertices between those that still lack something are looked up, too; and what all of them then lack
-moves detail nodes. Fields are those of `BoundGarment`.
+vertices between them are looked up, too; and what all of them lack moves detail nodes, or garment nodes where there is
+no detail. Fields are those of `BoundGarment`.
 
 Blocks of skin that are much farther off than the nearest one do not count, unless they do for another sample of the
 block of cloth: that is part of the result, as it moves shipped drapes by up to a centimetre. What else the kernel
@@ -33,11 +33,11 @@ BEYOND = 0.06
 """[m] Blocks of skin whose middles are this much farther off than the nearest one, as they count, are left out."""
 ASIDE, ASIDE_FADE = 0.03, 0.02
 """[m] Cloth in the skin is asked for less where it is farther beside the points than this, over the second."""
-SOFT, BESIDES = 0.002, 0.004
-"""[m] How much earlier cloth is moved than it must be; samples this much farther off may lack something later."""
-LEFT, LOOKS, LEAST = 0.004, 0.002, 1e-5
-"""[m] What garment nodes leave to detail nodes; lack from which vertices between are looked at; lack that stays."""
-NODE_SLACK, DETAIL_SLACK, PASSES = 0.001, 0.0003, 2
+SOFT = 0.002
+"""[m] How much earlier cloth is moved than it must be."""
+LOOKS, LEAST = 0.003, 1e-5
+"""[m] Lack from which vertices between are looked at; lack, and moves, that stay."""
+SLACK, PASSES = 0.0003, 2
 """[m] by which samples that lack nothing hold nodes back; times that nodes move."""
 FLATTENED = 0.3
 """Volume that detail is turned back by at least."""
@@ -75,22 +75,22 @@ class Skin(NamedTuple):
 class Movers:
     """Nodes that move, `count` of them, and how samples go with them: nodes, weights (s, J)."""
 
-    def __init__(self, nodes, weights, count, slack):
+    def __init__(self, nodes, weights, count):
         at = np.arange(nodes.size + 1, step=nodes.shape[1] or 1)
         weights = weights.astype(np.float64).reshape(-1)
         self.weights = csr_array((weights, nodes.reshape(-1), at), shape=(len(nodes), count))
-        self.slack = slack * self.weights.sum(axis=0)
+        self.slack = SLACK * self.weights.sum(axis=0)
 
-    def move(self, left, planes, may):
-        """Moves (count, 3) for what samples lack beyond `may` [m], and how far these then are off (s,)."""
-        moves = np.zeros((self.weights.shape[1], 3))
+    def move(self, left, planes):
+        """Moves (count, 3) for what samples lack, of those that lack something at first."""
+        moves, lacks = np.zeros((self.weights.shape[1], 3)), left < 0
         for _ in range(PASSES):
-            lack = lack_of(left, planes.holds) - may
+            lack = np.where(lacks, lack_of(left, planes.holds), 0)
             lack = np.where(lack > LEAST, lack, 0)
             counted, towards = self.weights.T @ lack, self.weights.T @ (lack[:, None] ** 2 * planes.normals)
             by = towards / np.where(counted > 0, counted + self.slack, 1)[:, None]
             moves, left = moves + by, left + (planes.normals * (self.weights @ by)).sum(axis=1)
-        return moves, left
+        return moves
 
 
 def keep_out(bound, bones, nodes, offsets):
@@ -99,21 +99,20 @@ def keep_out(bound, bones, nodes, offsets):
         return nodes, offsets
     body, (at, normals) = Skin.posed(bound, bones), _samples(bound, nodes, offsets)
     planes = meet_skin(body, at, normals, bound.contact_sides)
-    left, planes = _left(planes, bound.contact_gaps)
-    carried = Movers(bound.contact_influence_nodes, bound.contact_influence_weights, len(nodes), NODE_SLACK)
-    moves, left = carried.move(left, planes, LEFT)
-    at, nodes = at + carried.weights @ moves, nodes.copy()
-    nodes[:, :, 3] += moves
+    left = planes.off - bound.contact_gaps - SOFT
     if not len(offsets):
+        carried = Movers(bound.contact_influence_nodes, bound.contact_influence_weights, len(nodes))
+        nodes = nodes.copy()
+        nodes[:, :, 3] += carried.move(left, planes)
         return nodes, offsets
     sample_of = _sample_of(bound, len(offsets))
     if len(bound.between_heights):
         share = _looked_at(bound, sample_of, lack_of(left, planes.holds))
         found = meet_skin(body, *_between(bound, sample_of, at, normals), bound.contact_sides[bound.between_blocks])
-        off, found = _left(found._replace(holds=share * found.holds), bound.between_gaps)
-        left, planes = np.concatenate([left, off]), Planes(*map(np.concatenate, zip(planes, found)))
-    detail = Movers(*_detail_of_all(bound), len(offsets), DETAIL_SLACK)
-    moves, _ = detail.move(left, planes, 0.0)
+        left = np.concatenate([left, found.off - bound.between_gaps - SOFT])
+        planes = Planes(*map(np.concatenate, zip(planes, found._replace(holds=share * found.holds))))
+    moves = Movers(*_detail_of_all(bound), len(offsets)).move(left, planes)
+    moves[(moves**2).sum(axis=1) <= LEAST**2] = 0
     return nodes, offsets + _turned_back(bound, nodes, sample_of, moves)
 
 
@@ -162,12 +161,6 @@ def lack_of(left, holds):
     """(s,) [m] of samples that are so far off what they keep; it sets in without a kink."""
     wanted = np.maximum(-left, 0)
     return holds * np.where(wanted < 2 * SOFT, wanted**2 / (4 * SOFT), wanted - SOFT)
-
-
-def _left(planes, gaps):
-    """How far samples are off where lack begins (s,), and their planes, which hold nothing where that is far."""
-    left = planes.off - gaps - SOFT
-    return left, planes._replace(holds=np.where(left < BESIDES, planes.holds, 0))
 
 
 def _on_bones(positions, normals, followed, weights, bones):

@@ -10,12 +10,10 @@
 namespace physkin {
 namespace {
 
-// [m] Garment nodes move where samples lack more than this; detail nodes do the rest.
-constexpr float kLeft = 0.008f;
 // [m] What lies between samples is looked at where one lacks so much, and counts in full where it lacks twice as much.
 constexpr float kLooks = 0.003f;
-// [m] What samples that lack nothing hold a node back as if they lacked: of garment nodes, and of detail nodes.
-constexpr float kNodeSlack = 0.001f, kDetailSlack = 0.0003f;
+// [m] What samples that lack nothing hold a node back as if they lacked.
+constexpr float kSlack = 0.0003f;
 // What a sample lacks is its nodes' part only: the second time sees what the first has left.
 constexpr int kPasses = 2;
 // [m] Samples that lack less stay.
@@ -47,9 +45,9 @@ SkinningData as_vertices(const BoundGarment& g) {
 Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       node_count_(g.nodes),
-      detail_count_(g.contact.detail_influences > 0 ? g.detail_numbers / 3 : 0),
       samples_(g.contact.samples),
       between_(g.between),
+      has_detail_(g.contact.detail_influences > 0),
       blocks_(pack_skinning_blocks(as_vertices(g), arena, BlockOrder::kAsGiven)),
       skin_rooms_((g.skin_points / kSkinBlock + kBlock - 1) / kBlock * kBlock),
       heights_(arena.copy(g.between_heights, std::size_t(between_))),
@@ -62,12 +60,20 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
       room_{arena.take<std::int32_t>(std::size_t(skin_rooms_ + kBlock)),
             arena.take<float>(std::size_t(skin_rooms_ * kBlock)),
             arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
-      garment_nodes_(movers(g.nodes, g.contact.influences, samples_, arena)),
-      detail_nodes_(movers(detail_count_, g.contact.detail_influences, samples_ + between_, arena)),
+      mover_count_(has_detail_ ? g.detail_numbers / 3 : g.nodes),
+      each_(has_detail_ ? g.contact.detail_influences : g.contact.influences),
+      movers_(arena.take<std::int32_t>(std::size_t((samples_ + between_) * each_))),
+      weights_(arena.take<float>(std::size_t((samples_ + between_) * each_))),
+      slack_(arena.take<float>(std::size_t(mover_count_))),
+      moves_(arena.take<Four>(std::size_t(mover_count_))),
+      sums_(arena.take<Four>(std::size_t(mover_count_))),
+      carriers_each_(g.contact.influences),
+      carriers_(arena.copy(g.contact.influence_nodes, std::size_t(samples_ * carriers_each_))),
+      carried_by_(arena.copy(g.contact.influence_weights, std::size_t(samples_ * carriers_each_))),
       lacks_(arena.take<float>(std::size_t(samples_))),
       posed_(arena.take<Four>(2 * std::size_t(samples_))),
       near_(arena.take<Near>(std::size_t(samples_ + between_))),
-      offsets_(arena.take<float>(3 * std::size_t(detail_count_))) {
+      offsets_(arena.take<float>(3 * std::size_t(mover_count_))) {
   const int skin_blocks = g.skin_points / kSkinBlock;
   auto* sides = arena.take<std::int16_t>(std::size_t(blocks_.block_count) * std::size_t(skin_rooms_));
   for (int block = 0; block < blocks_.block_count; ++block) {
@@ -80,47 +86,34 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
   std::copy_n(g.contact_gaps, samples_, gaps);
   std::copy_n(g.between_gaps, between_, gaps + samples_);
   gaps_ = gaps;
-  garment_nodes_.take(g.contact.influence_nodes, g.contact.influence_weights, 0, samples_, kNodeSlack);
-  detail_nodes_.take(g.contact.detail_nodes, g.contact.detail_weights, 0, samples_, kDetailSlack);
-  detail_nodes_.take(g.between_nodes, g.between_weights, samples_, between_, kDetailSlack);
-  find_samples_around(arena);
+  take_influences(has_detail_ ? g.contact.detail_nodes : carriers_,
+                  has_detail_ ? g.contact.detail_weights : carried_by_, 0, samples_);
+  take_influences(g.between_nodes, g.between_weights, samples_, between_);
+  if (has_detail_) find_samples_around(arena);
 }
 
-Contact::Movers Contact::movers(int count, int each, int samples, Arena& arena) {
-  const std::size_t influences = std::size_t(samples) * std::size_t(each);
-  return {count,
-          each,
-          arena.take<std::int32_t>(influences),
-          arena.take<float>(influences),
-          arena.take<float>(std::size_t(count)),
-          arena.take<Four>(std::size_t(count)),
-          arena.take<Four>(std::size_t(count))};
-}
-
-void Contact::Movers::take(const std::int32_t* from, const float* by, int first, int samples, float slack_each) {
-  std::copy_n(from, samples * each, nodes + first * each);
-  std::copy_n(by, samples * each, weights + first * each);
-  for (int at = 0; at < samples * each; ++at) slack[from[at]] += slack_each * by[at];
+void Contact::take_influences(const std::int32_t* nodes, const float* weights, int first, int samples) noexcept {
+  std::copy_n(nodes, samples * each_, movers_ + first * each_);
+  std::copy_n(weights, samples * each_, weights_ + first * each_);
+  for (int at = 0; at < samples * each_; ++at) slack_[nodes[at]] += kSlack * weights[at];
 }
 
 void Contact::find_samples_around(Arena& arena) {
-  auto* sample_of = arena.take<std::int32_t>(std::size_t(detail_count_));
-  std::vector<float> most(std::size_t(detail_count_), 0.0f);
-  const int each = detail_nodes_.each;
-  for (int at = 0; at < samples_ * each; ++at) {
-    const int node = detail_nodes_.nodes[at];
-    if (!(detail_nodes_.weights[at] > most[std::size_t(node)])) continue;
-    most[std::size_t(node)] = detail_nodes_.weights[at];
-    sample_of[node] = at / each;
+  auto* sample_of = arena.take<std::int32_t>(std::size_t(mover_count_));
+  std::vector<float> most(std::size_t(mover_count_), 0.0f);
+  for (int at = 0; at < samples_ * each_; ++at) {
+    const int node = movers_[at];
+    if (!(weights_[at] > most[std::size_t(node)])) continue;
+    most[std::size_t(node)] = weights_[at];
+    sample_of[node] = at / each_;
   }
   sample_of_ = sample_of;
   std::vector<std::int32_t> starts{0}, around;
   for (int first = 0; first < between_; first += kBlock) {
+    const int begin = each_ * (samples_ + first), end = each_ * (samples_ + std::min(first + kBlock, between_));
     std::set<std::int32_t> of_block;
-    for (int s = first; s < std::min(first + kBlock, between_); ++s) {
-      for (int at = each * (samples_ + s); at < each * (samples_ + s + 1); ++at) {
-        if (detail_nodes_.weights[at] > 0) of_block.insert(sample_of[detail_nodes_.nodes[at]]);
-      }
+    for (int at = begin; at < end; ++at) {
+      if (weights_[at] > 0) of_block.insert(sample_of[movers_[at]]);
     }
     around.insert(around.end(), of_block.begin(), of_block.end());
     starts.push_back(std::int32_t(around.size()));
@@ -136,15 +129,19 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
     look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
   }
   if (near_count_ == 0) return offsets;
-  if (move(garment_nodes_, detail_count_ > 0 ? kLeft : 0.0f)) move_garment_nodes(node_transforms);
   look_between(skin);
-  if (!move(detail_nodes_, 0.0f)) return offsets;
-  std::copy_n(offsets, 3 * detail_count_, offsets_);
-  for (int node = 0; node < detail_count_; ++node) {
-    const Four by = detail_nodes_.moves[node];
-    const Vector3 moved{by[0], by[1], by[2]};
-    if (!(dot(moved, moved) > kLeast * kLeast)) continue;
-    const Vector3 at_rest = turned_back(node, moved);
+  if (!move()) return offsets;
+  if (!has_detail_) {
+    for (int i = 0; i < node_count_; ++i) {
+      for (int c = 0; c < 3; ++c) node_transforms[12 * i + 4 * c + 3] += moves_[i][c];
+    }
+    return offsets;
+  }
+  std::copy_n(offsets, 3 * mover_count_, offsets_);
+  for (int node = 0; node < mover_count_; ++node) {
+    const Vector3 by{moves_[node][0], moves_[node][1], moves_[node][2]};
+    if (!(dot(by, by) > kLeast * kLeast)) continue;
+    const Vector3 at_rest = turned_back(node, by);
     offsets_[3 * node] += at_rest.x;
     offsets_[3 * node + 1] += at_rest.y;
     offsets_[3 * node + 2] += at_rest.z;
@@ -185,66 +182,46 @@ void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, i
   if (!kernels_.meet_skin(skin, columns, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_)) return;
   for (int sample = first; sample < end; ++sample) {
     const float* plane = planes_ + sample - first;
-    const float left = plane[0] - gaps_[sample] - kSoft, holds = share * plane[4 * kBlock];
-    if (!(holds > 0) || !(left < 0)) continue;
-    near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, left, holds};
+    const float lacks = gaps_[sample] + kSoft - plane[0], holds = share * plane[4 * kBlock];
+    if (!(holds > 0) || !(lacks > 0)) continue;
+    near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, lacks, 0, holds};
   }
 }
 
 float Contact::lack_of(const Near& near) const noexcept {
-  const float wanted = std::max(-near.left, 0.0f);
+  const float wanted = std::max(near.lacks - near.moved, 0.0f);
   return near.holds * (wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft);
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
-bool Contact::move(Movers& movers, float may) noexcept {
+bool Contact::move() noexcept {
   bool moved = false;
-  for (int pass = 0; pass < kPasses && movers.count > 0; ++pass) {
+  for (int pass = 0; pass < kPasses; ++pass) {
     bool any = false;
     for (int k = 0; k < near_count_; ++k) {
-      const Near& near = near_[k];
-      const float lack = lack_of(near) - may;
+      Near& near = near_[k];
+      const int first = each_ * near.sample, end = first + each_;
+      if (pass > 0) {
+        Four by = {};
+        for (int at = first; at < end; ++at) by += weights_[at] * moves_[movers_[at]];
+        by *= near.normal;
+        near.moved = by[0] + by[1] + by[2];
+      }
+      const float lack = lack_of(near);
       if (!(lack > kLeast)) continue;
-      if (!any) std::fill_n(movers.sums, movers.count, Four{});
+      if (!any) std::fill_n(sums_, mover_count_, Four{});
       any = true;
       const Four counted = lack * (lack * near.normal + Four{0, 0, 0, 1});
-      for (int at = movers.each * near.sample; at < movers.each * (near.sample + 1); ++at) {
-        movers.sums[movers.nodes[at]] += movers.weights[at] * counted;
-      }
+      for (int at = first; at < end; ++at) sums_[movers_[at]] += weights_[at] * counted;
     }
     if (!any) break;
-    if (!moved) std::fill_n(movers.moves, movers.count, Four{});
+    if (!moved) std::fill_n(moves_, mover_count_, Four{});
     moved = true;
-    for (int node = 0; node < movers.count; ++node) {
-      Four& sum = movers.sums[node];
-      if (!(sum[3] > 0)) continue;
-      sum *= 1 / (sum[3] + movers.slack[node]);
-      movers.moves[node] += sum;
-    }
-    for (int k = 0; k < near_count_ && (pass + 1 < kPasses || &movers == &garment_nodes_); ++k) {
-      Near& near = near_[k];
-      const Four by = near.normal * movers.moved(near.sample, movers.sums);
-      near.left += by[0] + by[1] + by[2];
+    for (int node = 0; node < mover_count_; ++node) {
+      if (sums_[node][3] > 0) moves_[node] += 1 / (sums_[node][3] + slack_[node]) * sums_[node];
     }
   }
   return moved;
-}
-
-inline Contact::Four Contact::Movers::moved(int sample, const Four* by) const noexcept {
-  Four sum = {};
-  for (int at = each * sample; at < each * (sample + 1); ++at) sum += weights[at] * by[nodes[at]];
-  return sum;
-}
-
-void Contact::move_garment_nodes(float* node_transforms) noexcept {
-  for (int i = 0; i < node_count_; ++i) {
-    for (int c = 0; c < 3; ++c) node_transforms[12 * i + 4 * c + 3] += garment_nodes_.moves[i][c];
-  }
-  for (int sample = 0; sample < samples_; ++sample) {
-    const Four by = garment_nodes_.moved(sample, garment_nodes_.moves);
-    float* at = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
-    for (int c = 0; c < 3; ++c) at[c * kBlock] += by[c];
-  }
 }
 
 void Contact::look_between(const SkinBlocks& skin) noexcept {
@@ -278,14 +255,14 @@ void Contact::gather_samples() noexcept {
 
 // Detail nodes give way to each other linearly, and so do the samples that go with them.
 void Contact::place_between(int block) noexcept {
-  const int first = kBlock * block, each = detail_nodes_.each;
+  const int first = kBlock * block;
   for (int lane = 0; lane < kBlock; ++lane) {
     const int s = std::min(first + lane, between_ - 1);
     Four at{}, normal{};
-    for (int k = each * (samples_ + s); k < each * (samples_ + s + 1); ++k) {
-      const Four* sample = posed_ + 2 * sample_of_[detail_nodes_.nodes[k]];
-      at += detail_nodes_.weights[k] * sample[0];
-      normal += detail_nodes_.weights[k] * sample[1];
+    for (int k = each_ * (samples_ + s); k < each_ * (samples_ + s + 1); ++k) {
+      const Four* sample = posed_ + 2 * sample_of_[movers_[k]];
+      at += weights_[k] * sample[0];
+      normal += weights_[k] * sample[1];
     }
     at += heights_[s] * normal;
     for (int c = 0; c < 3; ++c) {
@@ -298,9 +275,9 @@ void Contact::place_between(int block) noexcept {
 Vector3 Contact::turned_back(int detail_node, Vector3 by) const noexcept {
   const int sample = sample_of_[detail_node];
   float sum[12] = {};
-  for (int at = garment_nodes_.each * sample; at < garment_nodes_.each * (sample + 1); ++at) {
-    const float* matrix = matrices_ + 12 * garment_nodes_.nodes[at];
-    for (int k = 0; k < 12; ++k) sum[k] += garment_nodes_.weights[at] * matrix[k];
+  for (int at = carriers_each_ * sample; at < carriers_each_ * (sample + 1); ++at) {
+    const float* matrix = matrices_ + 12 * carriers_[at];
+    for (int k = 0; k < 12; ++k) sum[k] += carried_by_[at] * matrix[k];
   }
   const Vector3 x{sum[0], sum[4], sum[8]}, y{sum[1], sum[5], sum[9]}, z{sum[2], sum[6], sum[10]};
   const Vector3 yz = cross(y, z);
