@@ -12,6 +12,13 @@ inline float smooth_step(float u) {
   return u * u * (3 - 2 * u);
 }
 
+// How far to move what lacks so much, or each of several numbers: it sets in without a kink and, from twice `soft` on, leaves
+// `soft`. Nothing is below zero.
+template <class Real>
+Real soft_push(Real lacks, float soft) {
+  return lacks < 2.0f * soft ? lacks * lacks / (4.0f * soft) : lacks - soft;
+}
+
 template <class Real>
 struct Vector3Of {
   Real x, y, z;

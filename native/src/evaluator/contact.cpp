@@ -189,8 +189,7 @@ void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, i
 }
 
 float Contact::lack_of(const Near& near) const noexcept {
-  const float wanted = std::max(near.lacks - near.moved, 0.0f);
-  return near.holds * (wanted < 2 * kSoft ? wanted * wanted / (4 * kSoft) : wanted - kSoft);
+  return near.holds * soft_push(std::max(near.lacks - near.moved, 0.0f), kSoft);
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.

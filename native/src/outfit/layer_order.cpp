@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "evaluator/affine.hpp"
 #include "garment/finite.hpp"
 #include "outfit/checks.hpp"
 #include "outfit/cloth_rows.hpp"
@@ -307,7 +308,7 @@ Quad LayerOrder::lack(const std::int32_t* four, const ClothRows& steady, const C
   const Quad gap = side_ * sums(gaps[0], gaps[1], gaps[2], gaps[3]) / safe;
   const Quad alike = sums(alikes[0], alikes[1], alikes[2], alikes[3]) / safe;
   const Quad wanted = larger(kOrderGap + kSoft - gap, Quad{});
-  Quad lack = wanted < 2.0f * kSoft ? wanted * wanted / (4.0f * kSoft) : wanted - kSoft;
+  Quad lack = soft_push(wanted, kSoft);
   lack *= smaller(total / kFullShare, Quad{} + 1.0f) * clamp01((kDeepest + gap) / kFade);
   lack *= clamp01(4.0f * alike) / larger(alike, Quad{} + 0.5f);
   return smaller(lack, Quad{} + kMostPush);
