@@ -319,6 +319,7 @@ def random_contact(
         "skin_bones": np.repeat(rng.integers(len(bound.bone_parents), size=(skin_blocks, bones)), block, axis=0),
         "skin_weights": weights / weights.sum(axis=1, keepdims=True),
         "contact_gaps": rng.uniform(0, 0.01, size=len(samples)),
+        "contact_hangs": rng.uniform(size=len(samples)),
         "contact_sides": rng.choice([1, -1, 0], p=[0.5, 0.45, 0.05], size=(-(-len(samples) // size), skin_blocks)),
     }
     if len(bound.detail_nodes) and len(between):

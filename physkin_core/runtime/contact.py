@@ -42,6 +42,8 @@ CLOTH_FACING = 0.04
 """[m] The same of samples."""
 GAP = 0.003
 """[m] Cloth is kept this far from the skin, or as far as it is at rest."""
+HUGS, HANGS = 0.05, 0.09
+"""[m] Cloth nearer to the skin at rest than the first hugs it; farther from it than the second it hangs."""
 JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
 SLIDES = 0.1
@@ -94,10 +96,18 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "skin_weights": as_float32(skin.weights),
         "contact_sides": sides,
         "contact_gaps": np.full(len(samples), -1.0, dtype=np.float32),
+        "contact_hangs": np.zeros(len(samples), dtype=np.float32),
         "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
     }
-    gaps = np.clip(_rested(replace(bound, **fields))[0].clearance() - native.constants["soft"], 0, GAP)
-    return {**fields, "contact_gaps": gaps[: len(samples)], "between_gaps": gaps[len(samples) :]}
+    clearance = _rested(replace(bound, **fields))[0].clearance()
+    gaps = np.clip(clearance - native.constants["soft"], 0, GAP)
+    free = np.clip((clearance[: len(samples)] - HUGS) / (HANGS - HUGS), 0, 1)
+    return {
+        **fields,
+        "contact_gaps": gaps[: len(samples)],
+        "between_gaps": gaps[len(samples) :],
+        "contact_hangs": free * free * (3 - 2 * free),
+    }
 
 
 def _met(skin: Skin, sides: np.ndarray) -> tuple[Skin, np.ndarray]:

@@ -2,9 +2,9 @@
 
 The skin is points with normals that follow bones, in blocks of 8; samples of the cloth are in blocks of 16. What of the
 skin counts for a sample depends on how its normal agrees with the mean normal of each block of skin, with the side that
-the garment gives for these two blocks. Planes of the nearest points that count are blended. Where samples lack much
-vertices between them are looked up, too; and what all of them lack moves detail nodes, or garment nodes where there is
-no detail. Fields are those of `BoundGarment`.
+the garment gives for these two blocks. Planes of the nearest points that count are blended. What samples of cloth that
+hangs lack moves garment nodes; where samples still lack much vertices between them are looked up, too; and what all of
+them then lack moves detail nodes. Fields are those of `BoundGarment`.
 
 Blocks of skin that are much farther off than the nearest one do not count, unless they do for another sample of the
 block of cloth: that is part of the result, as it moves shipped drapes by up to a centimetre. What else the kernel
@@ -81,16 +81,16 @@ class Movers:
         self.weights = csr_array((weights, nodes.reshape(-1), at), shape=(len(nodes), count))
         self.slack = SLACK * self.weights.sum(axis=0)
 
-    def move(self, left, planes):
-        """Moves (count, 3) for what samples lack, of those that lack something at first."""
-        moves, lacks = np.zeros((self.weights.shape[1], 3)), left < 0
+    def move(self, left, planes, shares=1.0):
+        """Moves (count, 3) for shares (s,) of what samples lack, and how far these then are off (s,)."""
+        moves = np.zeros((self.weights.shape[1], 3))
         for _ in range(PASSES):
-            lack = np.where(lacks, lack_of(left, planes.holds), 0)
+            lack = shares * lack_of(left, planes.holds)
             lack = np.where(lack > LEAST, lack, 0)
             counted, towards = self.weights.T @ lack, self.weights.T @ (lack[:, None] ** 2 * planes.normals)
             by = towards / np.where(counted > 0, counted + self.slack, 1)[:, None]
             moves, left = moves + by, left + (planes.normals * (self.weights @ by)).sum(axis=1)
-        return moves
+        return moves, left
 
 
 def keep_out(bound, bones, nodes, offsets):
@@ -98,20 +98,21 @@ def keep_out(bound, bones, nodes, offsets):
     if not len(bound.contact_vertices) or not len(bound.skin_positions):
         return nodes, offsets
     body, (at, normals) = Skin.posed(bound, bones), _samples(bound, nodes, offsets)
-    planes = meet_skin(body, at, normals, bound.contact_sides)
-    left = planes.off - bound.contact_gaps - SOFT
+    left, planes = _lacking(meet_skin(body, at, normals, bound.contact_sides), bound.contact_gaps)
+    carried = Movers(bound.contact_influence_nodes, bound.contact_influence_weights, len(nodes))
+    shares = bound.contact_hangs if len(offsets) else 1.0
+    moves, left = carried.move(left, planes, shares)
+    at, nodes = at + carried.weights @ moves, nodes.copy()
+    nodes[:, :, 3] += moves
     if not len(offsets):
-        carried = Movers(bound.contact_influence_nodes, bound.contact_influence_weights, len(nodes))
-        nodes = nodes.copy()
-        nodes[:, :, 3] += carried.move(left, planes)
         return nodes, offsets
     sample_of = _sample_of(bound, len(offsets))
     if len(bound.between_heights):
         share = _looked_at(bound, sample_of, lack_of(left, planes.holds))
         found = meet_skin(body, *_between(bound, sample_of, at, normals), bound.contact_sides[bound.between_blocks])
-        left = np.concatenate([left, found.off - bound.between_gaps - SOFT])
-        planes = Planes(*map(np.concatenate, zip(planes, found._replace(holds=share * found.holds))))
-    moves = Movers(*_detail_of_all(bound), len(offsets)).move(left, planes)
+        off, found = _lacking(found._replace(holds=share * found.holds), bound.between_gaps)
+        left, planes = np.concatenate([left, off]), Planes(*map(np.concatenate, zip(planes, found)))
+    moves, _ = Movers(*_detail_of_all(bound), len(offsets)).move(left, planes)
     moves[(moves**2).sum(axis=1) <= LEAST**2] = 0
     return nodes, offsets + _turned_back(bound, nodes, sample_of, moves)
 
@@ -161,6 +162,13 @@ def lack_of(left, holds):
     """(s,) [m] of samples that are so far off what they keep; it sets in without a kink."""
     wanted = np.maximum(-left, 0)
     return holds * np.where(wanted < 2 * SOFT, wanted**2 / (4 * SOFT), wanted - SOFT)
+
+
+def _lacking(planes, gaps):
+    """How far samples are off where lack begins (s,), and their planes, which hold nothing for those that lack nothing
+    then."""
+    left = planes.off - gaps - SOFT
+    return left, planes._replace(holds=np.where(left < 0, planes.holds, 0))
 
 
 def _on_bones(positions, normals, followed, weights, bones):

@@ -40,14 +40,38 @@ SkinningData as_vertices(const BoundGarment& g) {
   return data;
 }
 
+template <class Value>
+std::vector<Value> joined(const Value* first, int count, const Value* second, int more) {
+  std::vector<Value> both(first, first + count);
+  both.insert(both.end(), second, second + more);
+  return both;
+}
+
 }  // namespace
+
+Contact::Movers::Movers(int count, int each, const std::vector<std::int32_t>& nodes, const std::vector<float>& weights,
+                        Arena& arena)
+    : count(count),
+      each(each),
+      nodes(arena.copy(nodes.data(), nodes.size())),
+      weights(arena.copy(weights.data(), weights.size())),
+      slack(arena.take<float>(std::size_t(count))),
+      moves(arena.take<Four>(std::size_t(count))),
+      sums(arena.take<Four>(std::size_t(count))) {
+  for (std::size_t at = 0; at < nodes.size(); ++at) slack[nodes[at]] += kSlack * weights[at];
+}
+
+inline Contact::Four Contact::Movers::moved(int sample) const noexcept {
+  Four by = {};
+  for (int at = each * sample; at < each * (sample + 1); ++at) by += weights[at] * moves[nodes[at]];
+  return by;
+}
 
 Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       node_count_(g.nodes),
       samples_(g.contact.samples),
       between_(g.between),
-      has_detail_(g.contact.detail_influences > 0),
       blocks_(pack_skinning_blocks(as_vertices(g), arena, BlockOrder::kAsGiven)),
       skin_rooms_((g.skin_points / kSkinBlock + kBlock - 1) / kBlock * kBlock),
       heights_(arena.copy(g.between_heights, std::size_t(between_))),
@@ -60,20 +84,21 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
       room_{arena.take<std::int32_t>(std::size_t(skin_rooms_ + kBlock)),
             arena.take<float>(std::size_t(skin_rooms_ * kBlock)),
             arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
-      mover_count_(has_detail_ ? g.detail_numbers / 3 : g.nodes),
-      each_(has_detail_ ? g.contact.detail_influences : g.contact.influences),
-      movers_(arena.take<std::int32_t>(std::size_t((samples_ + between_) * each_))),
-      weights_(arena.take<float>(std::size_t((samples_ + between_) * each_))),
-      slack_(arena.take<float>(std::size_t(mover_count_))),
-      moves_(arena.take<Four>(std::size_t(mover_count_))),
-      sums_(arena.take<Four>(std::size_t(mover_count_))),
-      carriers_each_(g.contact.influences),
-      carriers_(arena.copy(g.contact.influence_nodes, std::size_t(samples_ * carriers_each_))),
-      carried_by_(arena.copy(g.contact.influence_weights, std::size_t(samples_ * carriers_each_))),
+      hangs_(arena.copy(g.contact_hangs, std::size_t(samples_))),
+      garment_nodes_(
+          g.nodes, g.contact.influences,
+          joined(g.contact.influence_nodes, samples_ * g.contact.influences, g.contact.influence_nodes, 0),
+          joined(g.contact.influence_weights, samples_ * g.contact.influences, g.contact.influence_weights, 0), arena),
+      detail_nodes_(g.contact.detail_influences > 0 ? g.detail_numbers / 3 : 0, g.contact.detail_influences,
+                    joined(g.contact.detail_nodes, samples_ * g.contact.detail_influences, g.between_nodes,
+                           between_ * g.contact.detail_influences),
+                    joined(g.contact.detail_weights, samples_ * g.contact.detail_influences, g.between_weights,
+                           between_ * g.contact.detail_influences),
+                    arena),
       lacks_(arena.take<float>(std::size_t(samples_))),
       posed_(arena.take<Four>(2 * std::size_t(samples_))),
       near_(arena.take<Near>(std::size_t(samples_ + between_))),
-      offsets_(arena.take<float>(3 * std::size_t(mover_count_))) {
+      offsets_(arena.take<float>(3 * std::size_t(detail_nodes_.count))) {
   const int skin_blocks = g.skin_points / kSkinBlock;
   auto* sides = arena.take<std::int16_t>(std::size_t(blocks_.block_count) * std::size_t(skin_rooms_));
   for (int block = 0; block < blocks_.block_count; ++block) {
@@ -86,34 +111,25 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
   std::copy_n(g.contact_gaps, samples_, gaps);
   std::copy_n(g.between_gaps, between_, gaps + samples_);
   gaps_ = gaps;
-  take_influences(has_detail_ ? g.contact.detail_nodes : carriers_,
-                  has_detail_ ? g.contact.detail_weights : carried_by_, 0, samples_);
-  take_influences(g.between_nodes, g.between_weights, samples_, between_);
-  if (has_detail_) find_samples_around(arena);
-}
-
-void Contact::take_influences(const std::int32_t* nodes, const float* weights, int first, int samples) noexcept {
-  std::copy_n(nodes, samples * each_, movers_ + first * each_);
-  std::copy_n(weights, samples * each_, weights_ + first * each_);
-  for (int at = 0; at < samples * each_; ++at) slack_[nodes[at]] += kSlack * weights[at];
+  if (detail_nodes_.count > 0) find_samples_around(arena);
 }
 
 void Contact::find_samples_around(Arena& arena) {
-  auto* sample_of = arena.take<std::int32_t>(std::size_t(mover_count_));
-  std::vector<float> most(std::size_t(mover_count_), 0.0f);
-  for (int at = 0; at < samples_ * each_; ++at) {
-    const int node = movers_[at];
-    if (!(weights_[at] > most[std::size_t(node)])) continue;
-    most[std::size_t(node)] = weights_[at];
-    sample_of[node] = at / each_;
+  const auto& [count, each, nodes, weights, slack, moves, sums] = detail_nodes_;
+  auto* sample_of = arena.take<std::int32_t>(std::size_t(count));
+  std::vector<float> most(std::size_t(count), 0.0f);
+  for (int at = 0; at < samples_ * each; ++at) {
+    if (!(weights[at] > most[std::size_t(nodes[at])])) continue;
+    most[std::size_t(nodes[at])] = weights[at];
+    sample_of[nodes[at]] = at / each;
   }
   sample_of_ = sample_of;
   std::vector<std::int32_t> starts{0}, around;
   for (int first = 0; first < between_; first += kBlock) {
-    const int begin = each_ * (samples_ + first), end = each_ * (samples_ + std::min(first + kBlock, between_));
+    const int begin = each * (samples_ + first), end = each * (samples_ + std::min(first + kBlock, between_));
     std::set<std::int32_t> of_block;
     for (int at = begin; at < end; ++at) {
-      if (weights_[at] > 0) of_block.insert(sample_of[movers_[at]]);
+      if (weights[at] > 0) of_block.insert(sample_of[nodes[at]]);
     }
     around.insert(around.end(), of_block.begin(), of_block.end());
     starts.push_back(std::int32_t(around.size()));
@@ -129,17 +145,15 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
     look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
   }
   if (near_count_ == 0) return offsets;
+  const bool has_detail = detail_nodes_.count > 0;
+  if (move(garment_nodes_, has_detail ? hangs_ : nullptr)) move_garment_nodes(node_transforms);
+  if (!has_detail) return offsets;
   look_between(skin);
-  if (!move()) return offsets;
-  if (!has_detail_) {
-    for (int i = 0; i < node_count_; ++i) {
-      for (int c = 0; c < 3; ++c) node_transforms[12 * i + 4 * c + 3] += moves_[i][c];
-    }
-    return offsets;
-  }
-  std::copy_n(offsets, 3 * mover_count_, offsets_);
-  for (int node = 0; node < mover_count_; ++node) {
-    const Vector3 by{moves_[node][0], moves_[node][1], moves_[node][2]};
+  if (!move(detail_nodes_, nullptr)) return offsets;
+  std::copy_n(offsets, 3 * detail_nodes_.count, offsets_);
+  for (int node = 0; node < detail_nodes_.count; ++node) {
+    const Four* moves = detail_nodes_.moves;
+    const Vector3 by{moves[node][0], moves[node][1], moves[node][2]};
     if (!(dot(by, by) > kLeast * kLeast)) continue;
     const Vector3 at_rest = turned_back(node, by);
     offsets_[3 * node] += at_rest.x;
@@ -193,34 +207,49 @@ float Contact::lack_of(const Near& near) const noexcept {
 }
 
 // What lacks more counts more, so that a sample that hardly lacks anything does not hold back one beside it.
-bool Contact::move() noexcept {
+bool Contact::move(Movers& movers, const float* shares) noexcept {
   bool moved = false;
   for (int pass = 0; pass < kPasses; ++pass) {
     bool any = false;
     for (int k = 0; k < near_count_; ++k) {
-      Near& near = near_[k];
-      const int first = each_ * near.sample, end = first + each_;
-      if (pass > 0) {
-        Four by = {};
-        for (int at = first; at < end; ++at) by += weights_[at] * moves_[movers_[at]];
-        by *= near.normal;
-        near.moved = by[0] + by[1] + by[2];
-      }
-      const float lack = lack_of(near);
+      const Near& near = near_[k];
+      const float lack = (shares == nullptr ? 1 : shares[near.sample]) * lack_of(near);
       if (!(lack > kLeast)) continue;
-      if (!any) std::fill_n(sums_, mover_count_, Four{});
+      if (!any) std::fill_n(movers.sums, movers.count, Four{});
       any = true;
       const Four counted = lack * (lack * near.normal + Four{0, 0, 0, 1});
-      for (int at = first; at < end; ++at) sums_[movers_[at]] += weights_[at] * counted;
+      for (int at = movers.each * near.sample; at < movers.each * (near.sample + 1); ++at) {
+        movers.sums[movers.nodes[at]] += movers.weights[at] * counted;
+      }
     }
     if (!any) break;
-    if (!moved) std::fill_n(moves_, mover_count_, Four{});
+    if (!moved) std::fill_n(movers.moves, movers.count, Four{});
     moved = true;
-    for (int node = 0; node < mover_count_; ++node) {
-      if (sums_[node][3] > 0) moves_[node] += 1 / (sums_[node][3] + slack_[node]) * sums_[node];
+    for (int node = 0; node < movers.count; ++node) {
+      const Four sum = movers.sums[node];
+      if (sum[3] > 0) movers.moves[node] += 1 / (sum[3] + movers.slack[node]) * sum;
+    }
+    for (int k = 0; k < near_count_; ++k) {
+      const Four by = near_[k].normal * movers.moved(near_[k].sample);
+      near_[k].moved = by[0] + by[1] + by[2];
     }
   }
   return moved;
+}
+
+void Contact::move_garment_nodes(float* node_transforms) noexcept {
+  for (int i = 0; i < node_count_; ++i) {
+    for (int c = 0; c < 3; ++c) node_transforms[12 * i + 4 * c + 3] += garment_nodes_.moves[i][c];
+  }
+  for (int sample = 0; sample < samples_; ++sample) {
+    const Four by = garment_nodes_.moved(sample);
+    float* at = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
+    for (int c = 0; c < 3; ++c) at[c * kBlock] += by[c];
+  }
+  for (int k = 0; k < near_count_; ++k) {
+    near_[k].lacks -= near_[k].moved;
+    near_[k].moved = 0;
+  }
 }
 
 void Contact::look_between(const SkinBlocks& skin) noexcept {
@@ -254,14 +283,14 @@ void Contact::gather_samples() noexcept {
 
 // Detail nodes give way to each other linearly, and so do the samples that go with them.
 void Contact::place_between(int block) noexcept {
-  const int first = kBlock * block;
+  const int first = kBlock * block, each = detail_nodes_.each;
   for (int lane = 0; lane < kBlock; ++lane) {
     const int s = std::min(first + lane, between_ - 1);
     Four at{}, normal{};
-    for (int k = each_ * (samples_ + s); k < each_ * (samples_ + s + 1); ++k) {
-      const Four* sample = posed_ + 2 * sample_of_[movers_[k]];
-      at += weights_[k] * sample[0];
-      normal += weights_[k] * sample[1];
+    for (int k = each * (samples_ + s); k < each * (samples_ + s + 1); ++k) {
+      const Four* sample = posed_ + 2 * sample_of_[detail_nodes_.nodes[k]];
+      at += detail_nodes_.weights[k] * sample[0];
+      normal += detail_nodes_.weights[k] * sample[1];
     }
     at += heights_[s] * normal;
     for (int c = 0; c < 3; ++c) {
@@ -274,9 +303,10 @@ void Contact::place_between(int block) noexcept {
 Vector3 Contact::turned_back(int detail_node, Vector3 by) const noexcept {
   const int sample = sample_of_[detail_node];
   float sum[12] = {};
-  for (int at = carriers_each_ * sample; at < carriers_each_ * (sample + 1); ++at) {
-    const float* matrix = matrices_ + 12 * carriers_[at];
-    for (int k = 0; k < 12; ++k) sum[k] += carried_by_[at] * matrix[k];
+  const int each = garment_nodes_.each;
+  for (int at = each * sample; at < each * (sample + 1); ++at) {
+    const float* matrix = matrices_ + 12 * garment_nodes_.nodes[at];
+    for (int k = 0; k < 12; ++k) sum[k] += garment_nodes_.weights[at] * matrix[k];
   }
   const Vector3 x{sum[0], sum[4], sum[8]}, y{sum[1], sum[5], sum[9]}, z{sum[2], sum[6], sum[10]};
   const Vector3 yz = cross(y, z);

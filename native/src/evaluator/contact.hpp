@@ -1,10 +1,12 @@
 // Keeps cloth out of the skin: all of a garment, whatever of the body is beneath it or presses on it.
 //
 // Samples of the cloth, one for each detail node, are looked up on the skin by the facing rule
-// (kernels/contact_kernel.hpp), and where they lack much the vertices between them, too. What all of these lack moves
-// detail nodes, or, of a garment without detail, garment nodes. Vertices, points and other meshes that go with these
-// follow. Nothing is remembered from frame to frame. physkin_core/runtime/contact.py chooses the samples.
+// (kernels/contact_kernel.hpp). Where cloth that hangs lacks something garment nodes move, so that it goes as a whole. Where
+// samples still lack much the vertices between them are looked up, too, and what all of these lack moves detail nodes.
+// Vertices, points and other meshes that go with these nodes follow. Nothing is remembered from frame to frame. physkin_core/runtime/contact.py chooses the samples.
 #pragma once
+
+#include <vector>
 
 #include "evaluator/affine.hpp"
 #include "evaluator/skin_surface.hpp"
@@ -35,6 +37,21 @@ class Contact {
   // A vector, and a number.
   typedef float Four __attribute__((vector_size(16)));
 
+  // What samples go with and are moved by: garment nodes, or detail nodes.
+  struct Movers {
+    int count = 0, each = 0;    // of them, and a sample
+    const std::int32_t* nodes;  // (samples, and perhaps those between, each)
+    const float* weights;       // (samples, and perhaps those between, each)
+    float* slack;               // (count,) [m] by how much samples that lack nothing hold each back
+    Four* moves;                // (count,) [m] in the root frame
+    Four* sums;                 // (count,) what samples lack in a pass, as vectors and by how much they count
+
+    Movers(int count, int each, const std::vector<std::int32_t>& nodes, const std::vector<float>& weights,
+           Arena& arena);
+    // What they move a sample by.
+    Four moved(int sample) const noexcept;
+  };
+
   // A sample that lacks something [m]: where the skin faces, how far it has been moved there, and in how far all that holds.
   struct Near {
     Four normal;
@@ -42,14 +59,15 @@ class Contact {
     float lacks, moved, holds;
   };
 
-  void take_influences(const std::int32_t* nodes, const float* weights, int first, int samples) noexcept;
   void find_samples_around(Arena& arena);
   void place(const float* node_transforms, const float* offsets) noexcept;
   // Looks a block of samples up that has the sides of `block`, and lists those that lack something.
   void look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end, float share) noexcept;
   float lack_of(const Near& near) const noexcept;
-  // Finds moves for what samples lack. Whether anything had to be moved.
-  bool move() noexcept;
+  // Finds moves for what samples lack, a share (samples,) of it each; null: all of it. Whether anything had to be moved.
+  bool move(Movers& movers, const float* shares) noexcept;
+  // Moves them, and the samples.
+  void move_garment_nodes(float* node_transforms) noexcept;
   // Looks up what lies between samples that lack something.
   void look_between(const SkinBlocks& skin) noexcept;
   // Rows of the samples' columns.
@@ -61,7 +79,6 @@ class Contact {
 
   const Kernels& kernels_;
   int node_count_, samples_, between_;
-  bool has_detail_;
   SkinningBlocks blocks_;
   int skin_rooms_;
   const std::int16_t* sides_;         // (blocks, skin rooms)
@@ -74,16 +91,8 @@ class Contact {
   float *matrices_, *columns_;        // (nodes, 3, 4), and (blocks, 6, kBlock) where they put samples
   float *between_columns_, *planes_;
   ContactRoom room_;
-  // What samples go with and are moved by: detail nodes, or garment nodes.
-  int mover_count_, each_;
-  std::int32_t* movers_;           // (samples and those between, each)
-  float* weights_;                 // (samples and those between, each)
-  float* slack_;                   // (movers,) [m] by how much samples that lack nothing hold each back
-  Four* moves_;                    // (movers,) [m] in the root frame
-  Four* sums_;                     // (movers,) what samples lack in a pass, as vectors and by how much they count
-  int carriers_each_;              // garment nodes
-  const std::int32_t* carriers_;   // (samples, carriers each)
-  const float* carried_by_;        // (samples, carriers each)
+  const float* hangs_;  // (samples,) 0 to 1
+  Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;  // (detail nodes,) the one that goes with each most
   float* lacks_;                   // (samples,) [m]
   Four* posed_;                    // (samples, 2) where they are, and their normals

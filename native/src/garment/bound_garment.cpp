@@ -80,6 +80,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("skin_weights", g.skin_weights, {&g.skin_points, &g.skin_influences});
   visit_sampling(g, "contact_", g.contact, visit);
   visit.floats("contact_gaps", g.contact_gaps, {&g.contact.samples});
+  visit.floats("contact_hangs", g.contact_hangs, {&g.contact.samples});
   visit.indices("contact_sides", g.contact_sides, {&g.contact_blocks, &g.skin_blocks}, -1, 2);
   visit.indices("between_nodes", g.between_nodes, {&g.between, &g.contact.detail_influences}, 0, g.detail_numbers / 3);
   visit.floats("between_weights", g.between_weights, {&g.between, &g.contact.detail_influences});

@@ -90,6 +90,7 @@ struct BoundGarment : SkinningData {
   const float* skin_weights = nullptr;       // (skin_points, skin_influences)
   ClothSampling contact;
   const float* contact_gaps = nullptr;          // (contact samples,) kept from the skin
+  const float* contact_hangs = nullptr;         // (contact samples,) how free each hangs, 0 to 1
   const std::int32_t* contact_sides = nullptr;  // (blocks of kBlock samples, blocks of skin) 1, -1 or 0 as of meet_skin
   // Vertices between these samples, in blocks of kBlock; none without detail.
   const std::int32_t* between_nodes = nullptr;   // (between, detail influences) detail nodes they go with

@@ -150,7 +150,7 @@ def test_a_garment_without_detail_is_kept_out_by_garment_nodes():
 
 
 def test_a_hand_that_presses_into_a_flared_skirt_is_not_through_the_cloth():
-    """Beside the hip. A quarter fewer vertices are in it, and a quarter less cloth is outside of it, where it would hide
+    """Beside the hip. A quarter fewer vertices are in it, and a quarter less cloth is outside of it, where it would
     the fingers."""
     skirt = on_the_avatar(replace(model_of("circleskirt"), sway=None))
     rig, hand = skirt.layer.model.rig, skin_of(skirt, "wrist.L")
