@@ -54,11 +54,11 @@ class BoundGarment(SkinningData):
         skin_bones, skin_weights (q, S) that they follow. contact_vertices, contact_normals (s, 3),
         contact_influence_nodes, contact_influence_weights (s, K), contact_detail_nodes, contact_detail_weights (s, J):
         samples of the cloth that is kept out of it, as vertices are given; (s, 0) without detail. contact_gaps (s,)
-        [m]: what each keeps off; contact_hangs (s,): how free each hangs, 0 to 1. contact_sides: int32, for each block of 16 samples and each of the skin 1 where the
-        skin is beneath the cloth, -1 where it presses on it. between_nodes, between_weights (t, J): vertices between
-        these samples, by the detail nodes they go with; between_heights (t,) [m] off the mean of those nodes' samples;
-        between_gaps (t,); between_blocks: int32, for each block of 16 the block of samples whose sides it has. All
-        empty where nothing is kept out.
+        [m]: what each keeps off; contact_hangs (s,): how free each hangs, 0 to 1. contact_sides: int32, for each block
+        of 16 samples and each of the skin 1 where the skin is beneath the cloth, -1 where it presses on it.
+        between_nodes, between_weights (t, J): vertices between these samples, by the detail nodes they go with;
+        between_heights (t,) [m] off the mean of those nodes' samples; between_gaps (t,); between_blocks: int32, for
+        each block of 16 the block of samples whose sides it has. All empty where nothing is kept out.
     """
 
     bone_parents: np.ndarray

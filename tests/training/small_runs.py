@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from random_models import random_model, tube
 
-from physkin_core import Garment, GarmentModel, load_body_model
+from physkin_core import Draper, Garment, GarmentModel, load_body_model
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import MeshFile
 from physkin_training.config import (
@@ -58,6 +58,13 @@ def waist_band_model(**options) -> GarmentModel:
     garment = Garment(band.vertices * [0.15, 0.18, 1.0] + [0, 0, 0.12], band.faces)
     rig = load_body_model().rig
     return random_model(np.random.default_rng(1), rig=rig, garment=garment, nodes=12, correction=0.02, **options)
+
+
+def networks_alone(*given, **options) -> Draper:
+    """A draper that does not keep cloth out of the skin, as evaluation and training drape it."""
+    draper = Draper(*given, precision="fp32", **options)
+    draper.outfit = draper.outfit.with_bound_garment(0, draper.bound.without_contact)
+    return draper
 
 
 def simulate_walkers_quickly(patch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from training.small_runs import waist_band_model
+from training.small_runs import networks_alone, waist_band_model
 
-from physkin_core import Draper, avatar_from_body, cli, load_body_model, load_motion, quality
+from physkin_core import avatar_from_body, cli, load_body_model, load_motion, quality
 from physkin_core import save_garment_model as save
 from physkin_training.evaluate import contact_sheet
 from physkin_training.evaluate.contact_sheet import BODIES, chosen_poses, drape_all
@@ -76,7 +76,7 @@ def test_drapes_are_the_run_times_and_the_minimum_is_lower(model, monkeypatch):
     assert list(drapes.garments) == ["model", "minimum"]
     for pair in (1, 3):
         avatar = avatar_from_body(BODY, BODY.held_out_bodies[bodies[pair % 2]])
-        draper = Draper(model, avatar, precision="fp32", fit=0.0)
+        draper = networks_alone(model, avatar, fit=0.0)
         q, gravity = poses.positions[pair // 2].numpy(), poses.gravity[pair // 2].numpy()
         np.testing.assert_allclose(drapes.garments["model"][pair], draper.drape(q, gravity)[:, :3], atol=1e-4)
         under = avatar.posed_vertices(draper.bone_transforms(q))
@@ -95,7 +95,7 @@ def test_made_to_measure_is_drawn_with_its_own_strain(model):
     drapes = drape_all(evaluation, poses, minimum=False)
     q, gravity = poses.positions[0].numpy(), poses.gravity[0].numpy()
     for pair, body in enumerate([5, 2]):
-        draper = Draper(model, avatar_from_body(BODY, BODY.held_out_bodies[body]), precision="fp32")
+        draper = networks_alone(model, avatar_from_body(BODY, BODY.held_out_bodies[body]))
         assert draper.fit == 1.0
         apart = np.linalg.norm(drapes.garments["model"][pair] - draper.drape(q, gravity)[:, :3], axis=1)
         assert apart.mean() < 3e-3

@@ -10,10 +10,9 @@ import pytest
 import torch
 import trimesh
 from random_models import random_rig
-from training.small_runs import waist_band_model
+from training.small_runs import networks_alone, waist_band_model
 
 from physkin_core import (
-    Draper,
     avatar_from_body,
     load_body_model,
     load_garment_model,
@@ -83,7 +82,7 @@ def test_figures_are_those_of_the_run_time(model):
     expected = []
     for index, (q, gravity) in enumerate(zip(batch.positions.numpy(), batch.gravity.numpy())):
         avatar = avatars[index % 2]
-        draper = Draper(model, avatar, precision="fp32", fit=0.0)
+        draper = networks_alone(model, avatar, fit=0.0)
         vertices = draper.drape(q, gravity)[:, :3].astype(np.float64)
         body = avatar.posed_vertices(draper.bone_transforms(q))
         contact = quality.contact_figures(signed_distance(vertices, body, avatar.faces))
@@ -202,7 +201,7 @@ def test_motion_is_measured_on_the_run_times_own_frames(model):
     rows = Evaluation(model, CPU, bodies=2, poses=2, seed=0, fit=0.0).motion(clips)
     assert rows["counts"] == {"clips": 2, "frames": 11, "bodies": 2, "rate_hz": 60.0}
     edge, jitter, gravity, weight = [], {}, [], model.garment.vertex_areas * model.material.density * 9.81
-    drapers = [Draper(model, avatar_from_body(BODY, c), precision="fp32", fit=0.0) for c in BODY.held_out_bodies[:2]]
+    drapers = [networks_alone(model, avatar_from_body(BODY, c), fit=0.0) for c in BODY.held_out_bodies[:2]]
     for motion in clips:
         positions = motion.positions_for(model.rig)
         for draper in drapers:

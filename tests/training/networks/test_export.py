@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from random_models import random_model
-from training.small_runs import SMALL_DETAIL, exported, run, small_config
+from training.small_runs import SMALL_DETAIL, exported, networks_alone, run, small_config
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model
 from physkin_core.runtime.binding import encode_body
@@ -70,13 +70,13 @@ def test_the_exported_model_drapes_as_the_trained_one(trained, tmp_path):
     model = exported(trained, 6)
     save_garment_model(model, tmp_path / "band.safetensors")
     for form, tolerance in ((model, 1e-4), (load_garment_model(tmp_path / "band.safetensors"), 1e-3)):
-        draper = Draper(form, avatar, fit=0.0, precision="fp32")
+        draper = networks_alone(form, avatar, fit=0.0)
         for index in range(len(q)):
             drape = draper.drape(q[index], gravity[index])[:, :3]
             assert np.linalg.norm(drape - expected[index], axis=1).max() < tolerance
     (weight, bias) = model.node_deformer[-1]
     plain = replace(model, node_deformer=(*model.node_deformer[:-1], (0 * weight, 0 * bias)))
-    skinned = Draper(plain, avatar, fit=0.0, precision="fp32").drape(q[0], gravity[0])[:, :3]
+    skinned = networks_alone(plain, avatar, fit=0.0).drape(q[0], gravity[0])[:, :3]
     assert np.linalg.norm(skinned - expected[0], axis=1).max() > 0.02
 
 
