@@ -45,9 +45,10 @@ def browser(folder):
 
 @made
 def test_files_are_small(folder):
-    """At most 2.5 MB a garment on the wire, and 0.3 more of one that sways; nothing that was only needed on the way."""
+    """At most 2.65 MB a garment on the wire, 0.15 of it to keep it out of the skin, and 0.3 more of one that sways;
+    nothing that was only needed on the way."""
     swaying = [name for name in GARMENTS if load_garment_model(name).sway is not None]
-    assert (folder / "outfit.physkin.gz").stat().st_size < 2.5e6 * len(GARMENTS) + 0.3e6 * len(swaying)
+    assert (folder / "outfit.physkin.gz").stat().st_size < 2.65e6 * len(GARMENTS) + 0.3e6 * len(swaying)
     assert not (folder / "outfit.physkin").exists()
 
 
