@@ -149,9 +149,9 @@ nb::ndarray<nb::numpy, const float, nb::shape<-1, 3>> detail_offsets(BoundEvalua
   return {of.detail_offsets(), {std::size_t(of.detail_nodes()), 3}, nb::find(self)};
 }
 
-void measure_clearance(BoundEvaluator& self, int garment, Floats out) {
+void measure_clearance(BoundEvaluator& self, int garment, const WrittenFloats& out) {
   check_shape(out, "out", {self.garment(garment).clearances()});
-  self.evaluator().measure_clearance(garment, const_cast<float*>(out.data()));
+  self.evaluator().measure_clearance(garment, out.data());
 }
 
 int clearances(BoundEvaluator& self, int garment) { return self.garment(garment).clearances(); }

@@ -23,7 +23,7 @@ from physkin_core.model.skinning import unit
 from physkin_core.native_module import as_float32, native
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
-from physkin_core.runtime.evaluator import Evaluator
+from physkin_core.runtime.evaluator import Evaluator, drape_poses
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
 
 __all__ = ["meeting_skin"]
@@ -79,10 +79,14 @@ class Parts:
 
 
 def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any]:
-    """The fields of `BoundGarment` to replace for it to be kept out of an avatar's skin."""
+    """The fields of `BoundGarment` to replace for it to be kept out of an avatar's skin; none where no part of it has
+    the points of a block."""
     parts = _parts(rig)
     skin = _skin(avatar, parts.of_bone)
-    drape = _rested(bound)[1].astype(np.float64)
+    if not len(skin.points):
+        return {}
+    (drape,) = drape_poses(bound, [(bound.dof_rest, UPRIGHT_GRAVITY)], precision="fp32")
+    drape = drape.astype(np.float64)
     samples, detail_samples = _samples(bound, drape)
     between = _between(bound, drape, samples)
     sides = _sides(*np.split(drape[samples], 2, axis=1), skin, parts)
@@ -99,7 +103,7 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "contact_hangs": np.zeros(len(samples), dtype=np.float32),
         "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
     }
-    clearance = _rested(replace(bound, **fields))[0].clearance()
+    clearance = _clearance_at_rest(replace(bound, **fields))
     gaps = np.clip(clearance - native.constants["soft"], 0, GAP)
     free = np.clip((clearance[: len(samples)] - HUGS) / (HANGS - HUGS), 0, 1)
     return {
@@ -157,7 +161,8 @@ def _skin(avatar: Avatar, part_of_bone: np.ndarray) -> Skin:
     near = np.concatenate([vertices[chosen], FACING * around], axis=1)
     each_part = (np.flatnonzero(part[chosen] == k) for k in np.unique(part_of_bone))
     whole = [of_part[: len(of_part) // block * block] for of_part in each_part if len(of_part) >= block]
-    order = np.concatenate([of_part[_in_blocks(near[of_part], block)] for of_part in whole])
+    blocks = [of_part[_in_blocks(near[of_part], block)] for of_part in whole]
+    order = np.concatenate([np.empty(0, dtype=np.intp), *blocks])
     chosen = chosen[order]
     bones, weights = avatar.influence_bones[chosen], avatar.influence_weights[chosen]
     return Skin(vertices[chosen], around[order], bones, weights, part[chosen])
@@ -189,21 +194,21 @@ def _in_blocks(points: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate(halved(np.arange(len(points))))
 
 
-def _rested(bound: BoundGarment) -> tuple[Evaluator, np.ndarray]:
+def _clearance_at_rest(bound: BoundGarment) -> np.ndarray:
+    """How far samples, and vertices between them, are from the skin (s + t,) [m]."""
     evaluator, frame_input = Evaluator([bound], precision="fp32"), FrameInput(1)
     frame_input.fill(UPRIGHT_GRAVITY)
-    out = np.empty((len(bound.vertices), 6), dtype=np.float32)
+    out = np.empty((len(bound.vertices), 3), dtype=np.float32)
     evaluator.evaluate(bound.dof_rest, frame_input.rows, [out])
-    return evaluator, out
+    return evaluator.clearance()
 
 
 def _samples(bound: BoundGarment, drape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (s,) in blocks, for each detail node the one that goes with it most; and which of them (D,) that is."""
-    detail_nodes = len(bound.detail_offsets) // 3 if len(bound.detail_nodes) else 0
-    if detail_nodes:
+    if bound.detail_node_count:
         nodes, weights = bound.detail_nodes.reshape(-1), bound.detail_weights.reshape(-1)
         order = np.lexsort([weights, nodes])
-        last = np.searchsorted(nodes[order], np.arange(detail_nodes), side="right") - 1
+        last = np.searchsorted(nodes[order], np.arange(bound.detail_node_count), side="right") - 1
         of_nodes = order[last] // bound.detail_nodes.shape[1]
         chosen, back = np.unique(of_nodes, return_inverse=True)
     else:
@@ -212,8 +217,13 @@ def _samples(bound: BoundGarment, drape: np.ndarray) -> tuple[np.ndarray, np.nda
     return chosen[order], order.argsort()[back]
 
 
+def _tagged(drape: np.ndarray) -> np.ndarray:
+    """Cloth (k, 6) whose distances tell how near it is and how alike it faces."""
+    return drape * [1, 1, 1, *[CLOTH_FACING] * 3]
+
+
 def _blocks_of_cloth(drape: np.ndarray) -> np.ndarray:
-    return _in_blocks(drape * [1, 1, 1, *[CLOTH_FACING] * 3], native.constants["block"])
+    return _in_blocks(_tagged(drape), native.constants["block"])
 
 
 def _between(bound: BoundGarment, drape: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -237,8 +247,7 @@ def _lying_between(
     normals = mean[:, 3:]
     heights = ((drape[between, :3] - mean[:, :3]) * normals).sum(axis=1) / np.maximum((normals**2).sum(axis=1), 0.1)
     size: int = native.constants["block"]
-    of_samples = cKDTree(drape[samples] * [1, 1, 1, *[CLOTH_FACING] * 3])
-    near = of_samples.query(drape[between] * [1, 1, 1, *[CLOTH_FACING] * 3])[1] // size
+    near = cKDTree(_tagged(drape[samples])).query(_tagged(drape[between]))[1] // size
     return {
         "between_nodes": np.ascontiguousarray(nodes),
         "between_weights": as_float32(weights),

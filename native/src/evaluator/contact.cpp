@@ -41,7 +41,7 @@ SkinningData as_vertices(const BoundGarment& g) {
 }
 
 template <class Value>
-std::vector<Value> joined(const Value* first, int count, const Value* second, int more) {
+std::vector<Value> joined(const Value* first, int count, const Value* second = nullptr, int more = 0) {
   std::vector<Value> both(first, first + count);
   both.insert(both.end(), second, second + more);
   return both;
@@ -73,7 +73,7 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
       samples_(g.contact.samples),
       between_(g.between),
       blocks_(pack_skinning_blocks(as_vertices(g), arena, BlockOrder::kAsGiven)),
-      skin_rooms_((g.skin_points / kSkinBlock + kBlock - 1) / kBlock * kBlock),
+      skin_rooms_(SkinSurface::rooms(g)),
       heights_(arena.copy(g.between_heights, std::size_t(between_))),
       block_of_(arena.copy(g.between_blocks, std::size_t(g.between_block_count))),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(g.nodes))),
@@ -85,10 +85,8 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
             arena.take<float>(std::size_t(skin_rooms_ * kBlock)),
             arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
       hangs_(arena.copy(g.contact_hangs, std::size_t(samples_))),
-      garment_nodes_(
-          g.nodes, g.contact.influences,
-          joined(g.contact.influence_nodes, samples_ * g.contact.influences, g.contact.influence_nodes, 0),
-          joined(g.contact.influence_weights, samples_ * g.contact.influences, g.contact.influence_weights, 0), arena),
+      garment_nodes_(g.nodes, g.contact.influences, joined(g.contact.influence_nodes, samples_ * g.contact.influences),
+                     joined(g.contact.influence_weights, samples_ * g.contact.influences), arena),
       detail_nodes_(g.contact.detail_influences > 0 ? g.detail_numbers / 3 : 0, g.contact.detail_influences,
                     joined(g.contact.detail_nodes, samples_ * g.contact.detail_influences, g.between_nodes,
                            between_ * g.contact.detail_influences),
@@ -173,15 +171,12 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
     }
   };
   for (int first = 0; first < samples_; first += kBlock) {
-    const std::int16_t* sides = sides_ + std::ptrdiff_t(first / kBlock) * skin_rooms_;
-    read(kernels_.meet_skin(skin, columns_ + 6 * first, sides, room_, planes_), first,
-         std::min(first + kBlock, samples_));
+    read(meet(skin, columns_ + 6 * first, first / kBlock), first, std::min(first + kBlock, samples_));
   }
   gather_samples();
   for (int first = 0; first < between_; first += kBlock) {
     place_between(first / kBlock);
-    const std::int16_t* sides = sides_ + std::ptrdiff_t(block_of_[first / kBlock]) * skin_rooms_;
-    read(kernels_.meet_skin(skin, between_columns_, sides, room_, planes_), samples_ + first,
+    read(meet(skin, between_columns_, block_of_[first / kBlock]), samples_ + first,
          samples_ + std::min(first + kBlock, between_));
   }
 }
@@ -191,9 +186,13 @@ void Contact::place(const float* node_transforms, const float* offsets) noexcept
   kernels_.skin_columns(blocks_, matrices_, offsets, columns_);
 }
 
+bool Contact::meet(const SkinBlocks& skin, const float* columns, int block) noexcept {
+  return kernels_.meet_skin(skin, columns, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_);
+}
+
 void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end,
                       float share) noexcept {
-  if (!kernels_.meet_skin(skin, columns, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_)) return;
+  if (!meet(skin, columns, block)) return;
   for (int sample = first; sample < end; ++sample) {
     const float* plane = planes_ + sample - first;
     const float lacks = gaps_[sample] + kSoft - plane[0], holds = share * plane[4 * kBlock];

@@ -3,7 +3,8 @@
 // Samples of the cloth, one for each detail node, are looked up on the skin by the facing rule
 // (kernels/contact_kernel.hpp). Where cloth that hangs lacks something garment nodes move, so that it goes as a whole. Where
 // samples still lack much the vertices between them are looked up, too, and what all of these lack moves detail nodes.
-// Vertices, points and other meshes that go with these nodes follow. Nothing is remembered from frame to frame. physkin_core/runtime/contact.py chooses the samples.
+// Vertices, points and other meshes that go with these nodes follow. Nothing is remembered from frame to frame.
+// physkin_core/runtime/contact.py chooses the samples.
 #pragma once
 
 #include <vector>
@@ -61,7 +62,9 @@ class Contact {
 
   void find_samples_around(Arena& arena);
   void place(const float* node_transforms, const float* offsets) noexcept;
-  // Looks a block of samples up that has the sides of `block`, and lists those that lack something.
+  // Looks a block of samples up that has the sides of `block`: planes into `planes_`, and whether any skin is near.
+  bool meet(const SkinBlocks& skin, const float* columns, int block) noexcept;
+  // The same, and lists those that lack something.
   void look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end, float share) noexcept;
   float lack_of(const Near& near) const noexcept;
   // Finds moves for what samples lack, a share (samples,) of it each; null: all of it. Whether anything had to be moved.

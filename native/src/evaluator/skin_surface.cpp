@@ -50,7 +50,7 @@ Middle middle_of(const BoundGarment& g, int block) {
 
 SkinSurface::SkinSurface(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     : kernels_(kernels), points_(pack_skinning_blocks(as_vertices(g), arena, BlockOrder::kAsGiven)) {
-  const int blocks = g.skin_points / kSkinBlock, rooms = (blocks + kBlock - 1) / kBlock * kBlock;
+  const int blocks = g.skin_points / kSkinBlock, rooms = SkinSurface::rooms(g);
   const int each = kSkinBlock * g.skin_influences;
   std::vector<float> at, normals, weights(std::size_t(blocks * each));
   float* radii = arena.take<float>(std::size_t(rooms));

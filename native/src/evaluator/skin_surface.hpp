@@ -17,6 +17,11 @@ class SkinSurface {
   void pose(const float* bone_transforms) noexcept;
   const SkinBlocks& posed() const { return posed_; }
 
+  // Blocks of a garment's skin, with those that fill the last registers up.
+  static int rooms(const BoundGarment& garment) {
+    return (garment.skin_points / kSkinBlock + kBlock - 1) / kBlock * kBlock;
+  }
+
  private:
   const Kernels& kernels_;
   SkinningBlocks points_, middles_;

@@ -32,8 +32,8 @@ class Skinner {
   // Offsets of detail nodes (detail_nodes, 3), at rest, metres: refused likewise.
   Rejection check_offsets(const float* offsets) const noexcept;
 
-  // From transforms and offsets that were checked; these are not read without detail. Both write the rows, and allocate nothing;
-  // compute_normals has nothing to do where normals are carried along. are_moved: in between somebody moves vertices, by
+  // From transforms and offsets that were checked; these are not read without detail. Both write the rows, and allocate
+  // nothing; compute_normals has nothing to do where normals are carried along. are_moved: in between somebody moves vertices, by
   // normals that are carried along first.
   void skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
             bool are_moved = false) noexcept;

@@ -102,12 +102,11 @@ inline int blocks_near(const SkinBlocks& skin, const std::int16_t* sides, const 
     const Ints reached = x * x + y * y + z * z < within * within;
     if (!any(reached)) continue;
     const Floats nx = load(middle + 3 * kBlock), ny = load(middle + 4 * kBlock), nz = load(middle + 5 * kBlock);
-    const Floats facing = widened(sides + first) * (nx * cloth.normal[0] + ny * cloth.normal[1] + nz * cloth.normal[2]);
+    const Floats facing = side * (nx * cloth.normal[0] + ny * cloth.normal[1] + nz * cloth.normal[2]);
     const Ints near = reached & (facing > cloth.turned);
     free &= !any(near & (nx * x + ny * y + nz * z < cloth.radius + kFree));
-    for (unsigned bits = bits_of(near); bits != 0; bits &= bits - 1) {
-      blocks[count] = first + __builtin_ctz(bits);
-      count += sides[blocks[count]] != 0;
+    for (unsigned bits = bits_of(near & (side != 0.0f)); bits != 0; bits &= bits - 1) {
+      blocks[count++] = first + __builtin_ctz(bits);
     }
   }
   return free ? 0 : count;
