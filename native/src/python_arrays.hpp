@@ -75,6 +75,13 @@ inline DenseWeights dense_weights(nb::handle matrix_array, const std::string& ma
   return {shape[0], shape[1], weights, view<float>(bias_array, bias, outputs)};
 }
 
+// A layer without a bias.
+inline DenseWeights projection(nb::handle matrix_array, const std::string& matrix) {
+  std::vector<int> shape{-1, -1};
+  const float* weights = view<float>(matrix_array, matrix, shape);
+  return {shape[0], shape[1], weights, nullptr};
+}
+
 // Reads the fields of Python objects under the interpreter's lock, for as long as it lives; they are used without it.
 // Network weights are viewed and kept alive, so that it must be destroyed under the lock, too. Everything else is
 // copied: an index must not change between its check and its use.
@@ -102,7 +109,11 @@ class PythonReader : public FieldSource {
     std::vector<DenseWeights> layers;
     for (nb::handle layer : attribute(name)) {
       const std::string at = name + "[" + std::to_string(layers.size()) + "]";
-      layers.push_back(dense_weights(held(layer[0]), at + " network weights", held(layer[1]), at + " bias"));
+      const nb::handle bias = held(layer[1]);
+      const bool is_projection = nb::len(bias) == 0;
+      const std::string names[] = {at + " network weights", at + " bias"};
+      layers.push_back(is_projection ? projection(held(layer[0]), names[0])
+                                     : dense_weights(held(layer[0]), names[0], bias, names[1]));
     }
     return layers;
   }

@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 Layer = tuple[np.ndarray, np.ndarray]
-"""Network weight (out, in) and bias (out,)."""
+"""Network weight (out, in) and bias (out,); of a projection, which has neither modulation nor activation, (0,)."""
 
 
 def float32_layers(layers: Iterable[Layer]) -> tuple[Layer, ...]:

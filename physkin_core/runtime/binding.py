@@ -32,6 +32,7 @@ from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.contact import meeting_skin
 from physkin_core.runtime.garment_on_body import GarmentOnBody, checked_fit, put_on_body
 from physkin_core.runtime.layer import Layer
+from physkin_core.runtime.low_rank import low_rank_layers
 from physkin_core.runtime.skin_clearance import SkinClearance, draped_at_rest, move_clear, room_to_move
 
 __all__ = ["FARTHEST_POINT", "bind_garment", "bind_points", "draping", "rest_normals"]
@@ -116,7 +117,7 @@ def _of_body(model: GarmentModel, seen: Avatar, fit: float) -> dict[str, Any]:
     modulation = encode_body(model, seen, fit=fit)
     log.info("encoded body %s for %s in %.0f ms", seen.source, model.name, 1e3 * (perf_counter() - started))
     return {
-        "pose_layers": float32_layers(fold_modulation(model.pose_modulator, modulation)),
+        "pose_layers": low_rank_layers([float32_layers(fold_modulation(model.pose_modulator, modulation))], model.rig),
         **({} if model.sway is None else fold_body(model.sway, modulation)),
     }
 

@@ -16,12 +16,13 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.fabric import FABRICS, split_colour, with_fabric
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
-from physkin_core.model.mlp import modulation_over
+from physkin_core.model.mlp import float32_layers, fold_modulation, modulation_over
 from physkin_core.model.sway_network import shifts_of_body
 from physkin_core.native_module import as_float32
 from physkin_core.runtime.body_encoder import encode_body
 from physkin_core.runtime.garment_on_body import put_on_body
 from physkin_core.runtime.layer import Layer
+from physkin_core.runtime.low_rank import low_rank_layers
 
 __all__ = ["fabric_of", "other_fabrics"]
 
@@ -46,7 +47,9 @@ def other_fabrics(layer: Layer, avatar: Avatar, beneath: Sequence[Layer]) -> tup
     made = [with_fabric(trained, name) for name in names]
     seen = put_on_body(model, avatar, layer.fit, beneath).seen
     own, *others = (encode_body(each, seen, fit=layer.fit) for each in (model, *made))
-    fields = {
+    folded = [float32_layers(fold_modulation(model.pose_modulator, each)) for each in (own, *others)]
+    fields: dict[str, Any] = {
+        "pose_layers": low_rank_layers(folded, model.rig),
         "fabric_modulations": as_float32([modulation_over(model.pose_modulator, own, each) for each in others]),
         "fabric_weights": as_float32([_weight(each) / _weight(model) for each in made]),
     }

@@ -14,7 +14,7 @@ def linear(layer, x):
 
 
 def mlp(layers, x, modulation=None):
-    """Hidden layers silu((1 + scale) (W x + bias) + shift), the last one linear.
+    """Hidden layers silu((1 + scale) (W x + bias) + shift), or W x where the bias is empty; the last one linear.
 
     modulation: [scale_0, shift_0, scale_1, ...] of all hidden layers, or None for zeros.
     """
@@ -26,6 +26,9 @@ def last_hidden(layers, x, modulation=None):
     *hidden, _ = layers
     start = 0
     for layer in hidden:
+        if not len(layer[1]):
+            x = layer[0].astype(np.float64) @ x
+            continue
         x = linear(layer, x)
         if modulation is not None:
             scale, shift = np.split(modulation[start : start + 2 * len(x)], 2)

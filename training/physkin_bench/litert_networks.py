@@ -79,7 +79,8 @@ def _model(case: NetworkCase, *, int8: bool) -> bytes:
     x, y = writer.graph.inputs = [writer.tensor(getattr(case, name).shape, name=name) for name in ("pose", "bones")]
     *hidden, (weight, bias) = bound.pose_layers
     for layer in hidden:
-        x = activate(writer.dense(x, layer))
+        x = writer.dense(x, layer)
+        x = activate(x) if len(layer[1]) else x
     start = 0
     for layer in bound.deformer_layers[:-1]:
         scale, shift = (slice(at, at + len(layer[1])) for at in (start, start + len(layer[1])))
@@ -111,8 +112,8 @@ class _Writer:
         if self.int8:  # a scale an output; LiteRT rounds activations to 8 bits as it runs
             scale = (np.maximum(np.abs(weight).max(axis=1), 1e-30) / 127).astype(np.float32)
             weight = np.round(weight / scale[:, None]).astype(np.int8)
-        inputs = [x, self._constant(weight, scale), self._constant(bias)]
-        return self._operator("FULLY_CONNECTED", "FullyConnected", inputs, len(bias))
+        inputs = [x, self._constant(weight, scale), self._constant(bias) if len(bias) else -1]
+        return self._operator("FULLY_CONNECTED", "FullyConnected", inputs, len(weight))
 
     def add(self, kind: str, *inputs: int) -> int:
         return self._operator(*KINDS[kind], list(inputs), self.graph.tensors[inputs[0]].shape[1])

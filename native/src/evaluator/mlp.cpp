@@ -20,14 +20,16 @@ Mlp::Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision oth
 
 std::size_t Mlp::modulation_room() const {
   std::size_t room = kGroup;
-  for (std::size_t k = 0; k + 1 < layers_.size(); ++k) room += 2 * std::size_t(layers_[k].outputs);
+  for (std::size_t k = 0; k + 1 < layers_.size(); ++k) {
+    if (!layers_[k].is_projection) room += 2 * std::size_t(layers_[k].outputs);
+  }
   return room;
 }
 
 const float* Mlp::run(const float* input, const float* modulation) {
   for (std::size_t k = 0; k < layers_.size(); ++k) {
     const PackedLayer& layer = layers_[k];
-    const bool hidden = k + 1 < layers_.size();
+    const bool hidden = k + 1 < layers_.size() && !layer.is_projection;
     const float* scale = hidden ? modulation : nullptr;
     const float* shift = scale == nullptr ? nullptr : scale + layer.outputs;
     float* output = buffers_[k % 2];

@@ -10,12 +10,12 @@ namespace physkin {
 
 class Mlp {
  public:
-  // Packs the network weights, those of the first layer in a precision of their own; all layers but the last are
-  // followed by SiLU.
+  // Packs the network weights, those of the first layer in a precision of their own; all layers but the last and
+  // projections are followed by SiLU.
   Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels, Arena& arena);
 
   // input: 64-byte aligned, readable to a multiple of 64 bytes. modulation: [scale_0, shift_0, scale_1, shift_1, ...]
-  // over the hidden activations, readable for kGroup floats beyond its end; null for none. Returns the outputs, valid
+  // over the hidden activations, projections left out, readable for kGroup floats beyond its end; null for none. Returns the outputs, valid
   // until the next run, readable for kGroup floats beyond.
   const float* run(const float* input, const float* modulation);
 

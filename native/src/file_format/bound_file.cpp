@@ -99,8 +99,14 @@ class FileFields : public FieldSource {
       layer.matrix = floats(name, shape);
       layer.outputs = shape[0];
       layer.inputs = shape[1];
-      shape.pop_back();
-      layer.bias = floats(name, shape);
+      std::vector<int> outputs{-1};
+      layer.bias = floats(name, outputs);
+      if (outputs[0] == 0) {
+        layer.bias = nullptr;
+      } else if (outputs[0] != layer.outputs) {
+        throw FileError("a bias of " + name + of_ + " has " + std::to_string(outputs[0]) + " values; expected " +
+                        std::to_string(layer.outputs) + ", or none; the file is damaged");
+      }
     }
     return layers;
   }

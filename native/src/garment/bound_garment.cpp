@@ -149,14 +149,18 @@ void check_layers(const char* name, const std::vector<DenseWeights>& layers, int
       fail(element(name, k) + " has " + std::to_string(layer.inputs) + " inputs; expected " + std::to_string(inputs));
     }
     check_finite(element(name, k), layer.matrix, std::size_t(layer.outputs) * layer.inputs);
-    check_finite(element(name, k) + " bias", layer.bias, layer.outputs);
+    if (!layer.is_projection()) {
+      check_finite(element(name, k) + " bias", layer.bias, layer.outputs);
+    } else if (k + 1 == layers.size()) {
+      fail(element(name, k) + " bias is empty; only a projection between other layers has none");
+    }
     inputs = layer.outputs;
   }
 }
 
 int hidden_activations(const std::vector<DenseWeights>& layers) {
   int hidden = 0;
-  for (std::size_t k = 0; k + 1 < layers.size(); ++k) hidden += layers[k].outputs;
+  for (std::size_t k = 0; k + 1 < layers.size(); ++k) hidden += layers[k].is_projection() ? 0 : layers[k].outputs;
   return hidden;
 }
 

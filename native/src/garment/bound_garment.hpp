@@ -112,7 +112,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields of a garment change, or the file's form.
-constexpr std::uint32_t kBoundFileVersion = 12;
+constexpr std::uint32_t kBoundFileVersion = 13;
 
 // Reads every field; what the arrays hold is for `validate` to check. detail_nodes: how many there are; throws
 // std::invalid_argument where that is no number of detail nodes.

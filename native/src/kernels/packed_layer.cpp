@@ -151,7 +151,8 @@ PackedLayer pack_layer(const DenseWeights& layer, Precision precision, PackedLay
     case Precision::int8: pack_int8(layer, layout, arena, packed); break;
   }
   auto* bias = arena.take<float>(padded_to_group(layer.outputs));
-  std::copy_n(layer.bias, layer.outputs, bias);
+  packed.is_projection = layer.is_projection();
+  if (!packed.is_projection) std::copy_n(layer.bias, layer.outputs, bias);
   packed.bias = bias;
   return packed;
 }

@@ -12,7 +12,8 @@ enum class Activation { none, silu, relu };
 struct DenseWeights {
   int outputs = 0, inputs = 0;
   const float* matrix = nullptr;  // (outputs, inputs)
-  const float* bias = nullptr;    // (outputs,)
+  const float* bias = nullptr;    // (outputs,); none of a projection, which has neither modulation nor activation
+  bool is_projection() const { return bias == nullptr; }
 };
 
 // Of network weights. fp32: the reference. bf16: 16-bit floats, widened in registers, activations in fp32. int8: 8-bit
@@ -52,7 +53,8 @@ struct PackedLayer {
   Precision precision = Precision::fp32;
   int inputs = 0, outputs = 0;
   const unsigned char* weights = nullptr;  // 64-byte aligned
-  const float* bias = nullptr;             // (padded outputs)
+  bool is_projection = false;
+  const float* bias = nullptr;             // (padded outputs), zeros of a projection
   const float* output_scale = nullptr;     // (padded outputs), int8 only
   // int8 only: the largest |input| that no sum overflows with, at most kInt8InputLimit.
   float input_limit = 0.0f;

@@ -1,0 +1,74 @@
+"""The pose modulator with narrower layers: of what a body's hidden units do in all poses, few directions matter.
+
+A network weight W (o, k) becomes A (o, r) B (r, k), a projection B without bias or activation before the layer A. Of all
+products of this rank it is the closest to W for the inputs that poses give. It halves what a frame reads of the pose
+modulator. It is found for one body: the directions of another body are others.
+
+Dimensions: `F` inputs, `k` inputs of a layer, `o` its outputs, `d` degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from physkin_core.model.mlp import Layer, silu
+from physkin_core.motion.everyday_poses import everyday_poses
+from physkin_core.native_module import as_float32
+from physkin_core.rig.rig import Rig, pose_vector
+from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
+
+__all__ = ["low_rank_layers"]
+
+DIRECTIONS = 96
+"""Of a layer's outputs: vertices move by half a millimetre, and strain in everyday poses rises by 0.01 points at most."""
+POSES = 400
+"""Of each kind: with every bone from another everyday pose, and between these and any pose within the joint limits."""
+
+
+def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Layer, ...]:
+    """The first of some pose modulators with its wide layers as two, float32.
+
+    networks: the first folded for a body and a fabric, and the same folded for other fabrics, whose poses it is to serve
+    as well.
+    """
+    inputs = [_pose_vectors(rig)] * len(networks)
+    layers: list[Layer] = []
+    for k, (weight, bias) in enumerate(networks[0]):
+        outputs, width = weight.shape
+        if DIRECTIONS * (outputs + width) < 0.6 * weight.size:
+            directions = _directions(weight, np.concatenate(inputs))
+            layers += [(as_float32(directions.T @ weight), np.empty(0, dtype=np.float32))]
+            weight = directions
+        layers.append((as_float32(weight), as_float32(bias)))
+        inputs = [silu(x @ network[k][0].T + network[k][1]) for x, network in zip(inputs, networks)]
+    return tuple(layers)
+
+
+def _directions(weight: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """Orthonormal directions (o, r) of the outputs, the strongest for inputs (F, k)."""
+    inputs = inputs.astype(np.float64)
+    square = inputs.T @ inputs / len(inputs)
+    square += 1e-6 * np.trace(square) / len(square) * np.eye(len(square))
+    root = np.linalg.cholesky(square)
+    outputs = weight @ root
+    strength, vectors = np.linalg.eigh(outputs.T @ outputs)
+    return outputs @ vectors[:, -DIRECTIONS:] / np.sqrt(strength[-DIRECTIONS:])
+
+
+def _pose_vectors(rig: Rig) -> np.ndarray:
+    """What the pose modulator reads (F, p) in poses of many kinds."""
+    random = np.random.default_rng(0)
+    try:
+        known, gravity = everyday_poses(rig)
+    except ValueError:  # of another rig
+        known, gravity = rig.rest[None], UPRIGHT_GRAVITY[None]
+    of_bone = random.integers(len(known), size=(POSES, rig.bone_count))
+    mixed, down = known[of_bone[:, rig.dof_bones], np.arange(len(rig.rest))], gravity[of_bone[:, 0]]
+    anywhere = random.uniform(rig.lower, rig.upper, (POSES, len(rig.rest)))
+    tilted = down + random.random((POSES, 1)) ** 2 * random.normal(size=(POSES, 3))
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    between = mixed + random.random((POSES, 1)) ** 2 * (anywhere - mixed)
+    positions = np.concatenate([known, mixed, between])
+    return as_float32(pose_vector(positions, rig.lower, rig.upper, np.concatenate([gravity, down, tilted])))
