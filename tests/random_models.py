@@ -132,13 +132,16 @@ def random_rig(rng: np.random.Generator, *, bones: int = 5, dofs: int = 7) -> Ri
     )
 
 
-def random_layers(rng: np.random.Generator, sizes: tuple[int, ...], *, output_scale: float) -> tuple:
-    """He-initialised layers through `sizes`; outputs have about the size `output_scale`."""
+def random_layers(
+    rng: np.random.Generator, sizes: tuple[int, ...], *, output_scale: float, projections: tuple[int, ...] = ()
+) -> tuple:
+    """He-initialised layers through `sizes`; outputs have about the size `output_scale`. projections: indices of layers
+    without a bias."""
     layers = []
     for k, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
         gain = np.sqrt(2 / inputs) if k + 2 < len(sizes) else output_scale / np.sqrt(inputs)
         weight, bias = rng.normal(size=(outputs, inputs)) * gain, rng.normal(size=outputs, scale=0.05)
-        layers.append((weight.astype(np.float32), bias.astype(np.float32)))
+        layers.append((weight.astype(np.float32), bias[: 0 if k in projections else None].astype(np.float32)))
     return tuple(layers)
 
 

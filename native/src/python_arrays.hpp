@@ -75,11 +75,12 @@ inline DenseWeights dense_weights(nb::handle matrix_array, const std::string& ma
   return {shape[0], shape[1], weights, view<float>(bias_array, bias, outputs)};
 }
 
-// A layer without a bias.
-inline DenseWeights projection(nb::handle matrix_array, const std::string& matrix) {
+// The same, or a projection, whose bias is empty.
+inline DenseWeights layer_or_projection(nb::handle matrix_array, nb::handle bias_array, const std::string& at) {
   std::vector<int> shape{-1, -1};
-  const float* weights = view<float>(matrix_array, matrix, shape);
-  return {shape[0], shape[1], weights, nullptr};
+  const float* weights = view<float>(matrix_array, at + " network weights", shape);
+  if (shape[0] > 0 && nb::len(bias_array) == 0) return {shape[0], shape[1], weights, nullptr};
+  return dense_weights(matrix_array, at + " network weights", bias_array, at + " bias");
 }
 
 // Reads the fields of Python objects under the interpreter's lock, for as long as it lives; they are used without it.
@@ -109,11 +110,7 @@ class PythonReader : public FieldSource {
     std::vector<DenseWeights> layers;
     for (nb::handle layer : attribute(name)) {
       const std::string at = name + "[" + std::to_string(layers.size()) + "]";
-      const nb::handle bias = held(layer[1]);
-      const bool is_projection = nb::len(bias) == 0;
-      const std::string names[] = {at + " network weights", at + " bias"};
-      layers.push_back(is_projection ? projection(held(layer[0]), names[0])
-                                     : dense_weights(held(layer[0]), names[0], bias, names[1]));
+      layers.push_back(layer_or_projection(held(layer[0]), held(layer[1]), at));
     }
     return layers;
   }

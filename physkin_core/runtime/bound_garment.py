@@ -32,7 +32,7 @@ class BoundGarment(SkinningData):
     dof_bone: (d,) int32; dof_axis: (d, 3) unit; dof_rest, dof_lower, dof_upper: (d,).
     pose_layers: pose modulator as (network weight (out, in), bias (out,)), the body's modulation folded in; hidden
         layers are followed by SiLU, the last layer is linear and gives the node deformer's modulation
-        [scale_0 (h), shift_0 (h), scale_1, shift_1, ...].
+        [scale_0 (h), shift_0 (h), scale_1, shift_1, ...]. A layer with an empty bias is a projection, W x alone.
     fabric_modulations, fabric_weights, fabric_sway_shifts: other fabrics that a host can have it made of instead, or
         none. Scale and shift for every hidden unit of `pose_layers`, over what is folded in (F, M); how many times as
         heavy (F,); what is added to the first hidden layer of both parts of the sway network (F, S). See

@@ -1,8 +1,8 @@
 """The pose modulator with narrower layers: of what a body's hidden units do in all poses, few directions matter.
 
-A network weight W (o, k) becomes A (o, r) B (r, k), a projection B without bias or activation before the layer A. Of all
-products of this rank it is the closest to W for the inputs that poses give. It halves what a frame reads of the pose
-modulator. It is found for one body: the directions of another body are others.
+A network weight W (o, k) becomes A (o, r) B (r, k), a projection B without bias or activation before the layer A. Of
+all products of this rank it is the closest to W for the inputs that poses give. A frame then reads two fifths of what
+it would of the pose modulator. It is found for one body: other bodies have other directions.
 
 Dimensions: `F` inputs, `k` inputs of a layer, `o` its outputs, `d` degrees of freedom.
 """
@@ -22,7 +22,7 @@ from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 __all__ = ["low_rank_layers"]
 
 DIRECTIONS = 96
-"""Of a layer's outputs: vertices move by half a millimetre, and strain in everyday poses rises by 0.01 points at most."""
+"""Of a layer's outputs. Vertices move by up to a millimetre, strain in everyday poses rises by 0.02 points at most."""
 POSES = 400
 """Of each kind: with every bone from another everyday pose, and between these and any pose within the joint limits."""
 
@@ -30,8 +30,8 @@ POSES = 400
 def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Layer, ...]:
     """The first of some pose modulators with its wide layers as two, float32.
 
-    networks: the first folded for a body and a fabric, and the same folded for other fabrics, whose poses it is to serve
-    as well.
+    networks: the one to be made narrower, folded for a body and a fabric; and the same folded for other fabrics that
+    its hidden units are to serve as well.
     """
     inputs = [_pose_vectors(rig)] * len(networks)
     layers: list[Layer] = []

@@ -23,6 +23,7 @@ def random_bound_garment(
     vertices=50,
     influences=3,
     pose_widths=(16, 16),
+    projections=(),
     deformer_widths=(12, 12),
     used_bones=None,
     learnt_sway=False,
@@ -70,7 +71,9 @@ def random_bound_garment(
         dof_rest=rng.uniform(-0.3, 0.3, size=dofs).astype(np.float32),
         dof_lower=lower,
         dof_upper=lower + rng.uniform(0.5, 3.0, size=dofs).astype(np.float32),
-        pose_layers=random_layers(rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3),
+        pose_layers=random_layers(
+            rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3, projections=projections
+        ),
         deformer_bones=used,
         deformer_layers=random_layers(rng, (12 * len(used), *deformer_widths, 12 * nodes), output_scale=0.1),
         node_bone=rng.integers(0, bones, size=nodes).astype(np.int32),

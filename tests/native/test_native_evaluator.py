@@ -26,6 +26,7 @@ SHAPES = {
     "smallest": dict(bones=1, dofs=0, nodes=1, vertices=1, influences=1, pose_widths=(), deformer_widths=(1,)),
     "no hidden layers": dict(pose_widths=(), deformer_widths=()),
     "odd widths": ODD | dict(bones=7, dofs=11, influences=5),
+    "projections": ODD | dict(projections=(0, 2)),
     "block boundary": dict(vertices=64, influences=2, pose_widths=(32,), deformer_widths=(32, 64)),
     "many influences": dict(nodes=40, vertices=333, influences=16),
     "default rig": SHIPPED | dict(bones=36, dofs=52, vertices=2000, influences=8),

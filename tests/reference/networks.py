@@ -26,7 +26,7 @@ def last_hidden(layers, x, modulation=None):
     *hidden, _ = layers
     start = 0
     for layer in hidden:
-        if not len(layer[1]):
+        if len(layer[0]) and not len(layer[1]):
             x = layer[0].astype(np.float64) @ x
             continue
         x = linear(layer, x)

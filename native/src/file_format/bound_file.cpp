@@ -101,8 +101,8 @@ class FileFields : public FieldSource {
       layer.inputs = shape[1];
       std::vector<int> outputs{-1};
       layer.bias = floats(name, outputs);
-      if (outputs[0] == 0) {
-        layer.bias = nullptr;
+      if (outputs[0] == 0 && layer.outputs > 0) {
+        layer.bias = nullptr;  // a projection
       } else if (outputs[0] != layer.outputs) {
         throw FileError("a bias of " + name + of_ + " has " + std::to_string(outputs[0]) + " values; expected " +
                         std::to_string(layer.outputs) + ", or none; the file is damaged");

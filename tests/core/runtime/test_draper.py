@@ -24,7 +24,7 @@ from physkin_core import (
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.hyper_modulator import at_fit
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.runtime import body_encoder
+from physkin_core.runtime import body_encoder, low_rank
 from physkin_core.runtime.binding import bind_garment
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_core.runtime.garment_grading import GarmentGrading
@@ -34,8 +34,9 @@ pytestmark = pytest.mark.usefixtures("exact_network_weights")
 
 @pytest.fixture(autouse=True)
 def few_body_points(monkeypatch):
-    """The hyper modulator has tests of its own; here a body is 50 points."""
+    """The hyper modulator has tests of its own; here a body is 50 points. So have layers of low rank."""
     monkeypatch.setattr(body_encoder, "POINT_COUNT", 50)
+    monkeypatch.setattr(low_rank, "DIRECTIONS", 10**6)
 
 
 def unguarded(draper):
