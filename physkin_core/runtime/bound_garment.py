@@ -33,10 +33,10 @@ class BoundGarment(SkinningData):
     pose_layers: pose modulator as (network weight (out, in), bias (out,)), the body's modulation folded in; hidden
         layers are followed by SiLU, the last layer is linear and gives the node deformer's modulation
         [scale_0 (h), shift_0 (h), scale_1, shift_1, ...]. A layer with an empty bias is a projection, W x alone.
-    fabric_modulations, fabric_weights, fabric_sway_shifts: other fabrics that a host can have it made of instead, or
-        none. Scale and shift for every hidden unit of `pose_layers`, over what is folded in (F, M); how many times as
-        heavy (F,); what is added to the first hidden layer of both parts of the sway network (F, S). See
-        `physkin_core.runtime.other_fabrics`.
+    fabric_pose_layers, fabric_modulations, fabric_weights, fabric_sway_shifts: other fabrics that a host can have it
+        made of instead, or none. The pose modulator of these; scale and shift for every hidden unit of it, over what
+        is folded in (F, M); how many times as heavy (F,); what is added to the first hidden layer of both parts of the
+        sway network (F, S). See `physkin_core.runtime.other_fabrics`.
     deformer_bones: (u,) int32, the bones whose transforms feed the node deformer.
     deformer_layers: node deformer; the first network weight is (h, 12 u) over the row-major (3, 4) bone transforms,
         hidden layer k is SiLU((1 + scale_k) * (W x + bias) + shift_k), the last layer is linear and
@@ -73,6 +73,7 @@ class BoundGarment(SkinningData):
     deformer_layers: tuple[Layer, ...]
     node_bone: np.ndarray
     node_positions: np.ndarray
+    fabric_pose_layers: tuple[Layer, ...] = ()
     fabric_modulations: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
     fabric_weights: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     fabric_sway_shifts: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))

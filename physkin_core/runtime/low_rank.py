@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physkin_core.formats.packed_weights import MOST_STEPS_IN_8_BITS
 from physkin_core.model.mlp import Layer, silu
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.native_module import as_float32
@@ -30,8 +31,8 @@ POSES = 400
 def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Layer, ...]:
     """The first of some pose modulators with its wide layers as two, float32.
 
-    networks: the one to be made narrower, folded for a body and a fabric; and the same folded for other fabrics that
-    its hidden units are to serve as well.
+    networks: float32, the one to be made narrower folded for a body and a fabric; and the same folded for other
+    fabrics that it is to serve as well, by a modulation over it.
     """
     inputs = [_pose_vectors(rig)] * len(networks)
     layers: list[Layer] = []
@@ -39,11 +40,18 @@ def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Laye
         outputs, width = weight.shape
         if DIRECTIONS * (outputs + width) < 0.6 * weight.size:
             directions = _directions(weight, np.concatenate(inputs))
-            layers += [(as_float32(directions.T @ weight), np.empty(0, dtype=np.float32))]
-            weight = directions
-        layers.append((as_float32(weight), as_float32(bias)))
+            layers += [(_in_steps(directions.T @ weight), np.empty(0, dtype=np.float32))]
+            weight = _in_steps(directions)
+        layers.append((weight, bias))
         inputs = [silu(x @ network[k][0].T + network[k][1]) for x, network in zip(inputs, networks)]
     return tuple(layers)
+
+
+def _in_steps(weight: np.ndarray) -> np.ndarray:
+    """Rounded as the native evaluator rounds to 8 bits, so that a file needs no more for it."""
+    step = np.maximum(np.abs(weight).max(axis=1, keepdims=True) / MOST_STEPS_IN_8_BITS, 1e-30).astype(np.float32)
+    step = (step.view(np.int32) & ~0x7F).view(np.float32)  # so that all products with whole numbers up to 127 are exact
+    return as_float32(np.rint(weight / step) * step)
 
 
 def _directions(weight: np.ndarray, inputs: np.ndarray) -> np.ndarray:

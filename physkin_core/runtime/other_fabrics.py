@@ -49,7 +49,7 @@ def other_fabrics(layer: Layer, avatar: Avatar, beneath: Sequence[Layer]) -> tup
     own, *others = (encode_body(each, seen, fit=layer.fit) for each in (model, *made))
     folded = [float32_layers(fold_modulation(model.pose_modulator, each)) for each in (own, *others)]
     fields: dict[str, Any] = {
-        "pose_layers": low_rank_layers(folded, model.rig),
+        "fabric_pose_layers": low_rank_layers(folded, model.rig),
         "fabric_modulations": as_float32([modulation_over(model.pose_modulator, own, each) for each in others]),
         "fabric_weights": as_float32([_weight(each) / _weight(model) for each in made]),
     }

@@ -63,6 +63,7 @@ def random_bound_garment(
             "fabric_weights": rng.uniform(0.5, 2, size=fabrics).astype(np.float32),
             "fabric_sway_shifts": rng.normal(size=(fabrics, shifts)).astype(np.float32),
         }
+    pose_sizes = dofs + 3, *pose_widths, 2 * sum(deformer_widths)
     garment = BoundGarment(
         bone_parents=np.array([-1] + [rng.integers(0, j) for j in range(1, bones)], dtype=np.int32),
         bone_heads=box(bones),
@@ -71,9 +72,7 @@ def random_bound_garment(
         dof_rest=rng.uniform(-0.3, 0.3, size=dofs).astype(np.float32),
         dof_lower=lower,
         dof_upper=lower + rng.uniform(0.5, 3.0, size=dofs).astype(np.float32),
-        pose_layers=random_layers(
-            rng, (dofs + 3, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3, projections=projections
-        ),
+        pose_layers=random_layers(rng, pose_sizes, output_scale=0.3, projections=projections),
         deformer_bones=used,
         deformer_layers=random_layers(rng, (12 * len(used), *deformer_widths, 12 * nodes), output_scale=0.1),
         node_bone=rng.integers(0, bones, size=nodes).astype(np.int32),
@@ -85,6 +84,8 @@ def random_bound_garment(
         influence_weights=weights.astype(np.float32),
         **parts,
     )
+    if fabrics:
+        garment = replace(garment, fabric_pose_layers=garment.pose_layers)
     if not skin_blocks:
         return garment
     (cloth,) = drape_poses(garment, [(garment.dof_rest, (0.0, 0.0, -1.0))], precision="fp32")

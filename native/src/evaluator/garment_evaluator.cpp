@@ -45,8 +45,12 @@ const BoundGarment& validated(const BoundGarment& garment) {
 GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels, Precision precision)
     : rig_(validated(g), arena_),
       pose_modulator_(g.pose_layers, of_first_layers(precision), precision, kernels, arena_),
-      fabric_modulations_(
-          padded_rows(g.fabric_modulations, g.fabrics, g.fabric_modulation, pose_modulator_.modulation_room(), arena_)),
+      other_pose_modulator_(g.fabrics > 0 ? std::make_optional<Mlp>(g.fabric_pose_layers, of_first_layers(precision),
+                                                                    precision, kernels, arena_)
+                                          : std::optional<Mlp>()),
+      fabric_modulations_(g.fabrics > 0 ? padded_rows(g.fabric_modulations, g.fabrics, g.fabric_modulation,
+                                                      other_pose_modulator_->modulation_room(), arena_)
+                                        : nullptr),
       fabric_weights_(arena_.copy(g.fabric_weights, g.fabrics)),
       fabric_sway_shifts_(arena_.copy(g.fabric_sway_shifts, std::size_t(g.fabrics) * std::size_t(g.fabric_sway))),
       fabric_sway_(g.fabric_sway),
@@ -129,8 +133,10 @@ void GarmentEvaluator::gather_deformer_input() noexcept {
 
 void GarmentEvaluator::run_networks(const GarmentInput& input) noexcept {
   const float* modulation =
-      fabric_ < 0 ? nullptr : fabric_modulations_ + std::size_t(fabric_) * pose_modulator_.modulation_room();
-  corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, pose_modulator_.run(pose_, modulation));
+      fabric_ < 0 ? pose_modulator_.run(pose_, nullptr)
+                  : other_pose_modulator_->run(
+                        pose_, fabric_modulations_ + std::size_t(fabric_) * other_pose_modulator_->modulation_room());
+  corrections_ = still_corrections_ = node_deformer_.run(deformer_input_, modulation);
   if (detail_) given_offsets_ = detail_->run(node_deformer_.last_hidden(), nullptr);
   if (learnt_sway_) corrections_ = learnt_sway_->added(still_corrections_, last_positions_, bone_transforms_, input);
 }

@@ -79,6 +79,7 @@ class GarmentEvaluator {
   Arena arena_;
   Rig rig_;
   Mlp pose_modulator_;
+  std::optional<Mlp> other_pose_modulator_;  // of other fabrics
   const float *fabric_modulations_, *fabric_weights_, *fabric_sway_shifts_;
   int fabric_sway_, fabric_ = -1;
   Mlp node_deformer_;

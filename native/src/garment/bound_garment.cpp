@@ -59,6 +59,7 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("dof_lower", g.dof_lower, {&g.dofs});
   visit.floats("dof_upper", g.dof_upper, {&g.dofs});
   visit.layers("pose_layers", g.pose_layers);
+  visit.layers("fabric_pose_layers", g.fabric_pose_layers);
   visit.floats("fabric_modulations", g.fabric_modulations, {&g.fabrics, &g.fabric_modulation});
   visit.floats("fabric_weights", g.fabric_weights, {&g.fabrics});
   visit.floats("fabric_sway_shifts", g.fabric_sway_shifts, {&g.fabrics, &g.fabric_sway});
@@ -217,9 +218,14 @@ void check_sway(const BoundGarment& g) {
 // Other fabrics, of networks that have been checked.
 void check_fabrics(const BoundGarment& g) {
   if (g.fabrics == 0) return;
-  if (g.fabric_modulation != 2 * hidden_activations(g.pose_layers)) {
+  check_layers("fabric_pose_layers", g.fabric_pose_layers, g.dofs + 3);
+  if (g.fabric_pose_layers.back().outputs != g.pose_layers.back().outputs) {
+    fail("fabric_pose_layers give " + std::to_string(g.fabric_pose_layers.back().outputs) +
+         " values; expected as many as pose_layers, " + std::to_string(g.pose_layers.back().outputs));
+  }
+  if (g.fabric_modulation != 2 * hidden_activations(g.fabric_pose_layers)) {
     fail("fabric_modulations have " + std::to_string(g.fabric_modulation) +
-         " values each; expected a scale and a shift for " + std::to_string(hidden_activations(g.pose_layers)) +
+         " values each; expected a scale and a shift for " + std::to_string(hidden_activations(g.fabric_pose_layers)) +
          " hidden activations of the pose modulator");
   }
   const int shifts = g.sway_layers.empty() ? 0 : g.sway_layers[0].outputs + g.sway_layers[2].outputs;

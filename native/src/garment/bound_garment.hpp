@@ -63,6 +63,7 @@ struct BoundGarment : SkinningData {
 
   // Other fabrics that it can be made of instead, or none. See GarmentEvaluator::set_fabric.
   int fabrics = -1, fabric_modulation = -1, fabric_sway = -1;
+  std::vector<DenseWeights> fabric_pose_layers;  // in place of pose_layers
   const float* fabric_modulations = nullptr;  // (fabrics, fabric_modulation) of the pose modulator's hidden activations
   const float* fabric_weights = nullptr;      // (fabrics,) how many times as heavy
   const float* fabric_sway_shifts = nullptr;  // (fabrics, fabric_sway) of the first hidden activations of both parts of

@@ -54,8 +54,8 @@ struct PackedLayer {
   int inputs = 0, outputs = 0;
   const unsigned char* weights = nullptr;  // 64-byte aligned
   bool is_projection = false;
-  const float* bias = nullptr;             // (padded outputs), zeros of a projection
-  const float* output_scale = nullptr;     // (padded outputs), int8 only
+  const float* bias = nullptr;          // (padded outputs), zeros of a projection
+  const float* output_scale = nullptr;  // (padded outputs), int8 only
   // int8 only: the largest |input| that no sum overflows with, at most kInt8InputLimit.
   float input_limit = 0.0f;
 };

@@ -32,7 +32,8 @@ def draped(bound):
 
 
 def test_layers_whose_inputs_span_few_directions_stay_what_they_are():
-    """Hidden units of a network that reads three numbers and hardly bends: A B is W for all it is given."""
+    """Hidden units of a network that reads three numbers and hardly bends: A B is W for all it is given, but for 8
+    bits."""
     rng = np.random.default_rng(0)
     weight = rng.normal(size=(400, 400)).astype(np.float32) / 20
     first = np.zeros((400, RIG.pose_size), dtype=np.float32)
@@ -41,7 +42,7 @@ def test_layers_whose_inputs_span_few_directions_stay_what_they_are():
     layers = low_rank_layers([[(first, zeros), (weight, zeros)]], RIG)
     assert [bias.size for _, bias in layers] == [400, 0, 400]
     x = first[:, :3] @ rng.normal(size=(3, 50))
-    assert np.abs(layers[2][0] @ (layers[1][0] @ x) - weight @ x).max() < 1e-5 * np.abs(weight @ x).max()
+    assert np.abs(layers[2][0] @ (layers[1][0] @ x) - weight @ x).max() < 1e-2 * np.abs(weight @ x).max()
 
 
 def test_narrow_layers_are_left_as_they_are():
@@ -66,7 +67,7 @@ def test_other_fabrics_have_directions_of_their_own(outfit, monkeypatch):
     _, wide = other_fabrics(layer, outfit.avatar, [])
     for modulation in fields["fabric_modulations"]:
         clouds = [
-            draped(replace(layer.bound, pose_layers=_made_of(each["pose_layers"], modulation)))
+            draped(replace(layer.bound, pose_layers=_made_of(each["fabric_pose_layers"], modulation)))
             for each in (fields, wide)
         ]
         assert np.linalg.norm(clouds[0] - clouds[1], axis=2).mean() < MOVES
