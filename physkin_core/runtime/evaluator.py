@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.model.skinning import SkinningData
-from physkin_core.native_module import native
+from physkin_core.native_module import as_float32, native
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.frame_input import FrameInput
 
@@ -105,6 +105,17 @@ class Evaluator:
         except TypeError:
             raise TypeError(_explain(joint_positions=joint_positions, inputs=inputs, out=outs[0])) from None
 
+    def frames(self, frame_input: FrameInput) -> native.Frames:
+        """Frames that are given anything that `Outfit.drape` takes, whose arrays may be others in each.
+
+        Returns an object whose one method `drape` does all of a frame. It takes joint_positions, look_at_unusual,
+        gravity, effective_gravity, time, root and outs, as `Outfit.drape` does, and returns the list of clouds, which
+        are new if outs is None. look_at_unusual is asked about anything but an array (d,) of float32 or float64 in
+        which no joint is a full turn off: it returns such an array, or raises. An error for arguments leaves `outs` as
+        they were.
+        """
+        return native.Frames(self._evaluator, frame_input.native)
+
     def evaluate(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> None:
         """Computes one frame: `bind_frame`, then its `step`."""
         self.bind_frame(joint_positions, inputs, outs).step()
@@ -136,13 +147,8 @@ def drape_poses(
 ) -> list[np.ndarray]:
     """One garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)), each for itself: of each
     (n, 6) float32 vertices and normals. Raises as `Evaluator` does."""
-    evaluator, frame_input = Evaluator([bound], precision=precision), FrameInput(1)
-    clouds = []
-    for positions, gravity in poses:
-        frame_input.fill(gravity)
-        clouds.append(np.empty((len(bound.vertices), 6), dtype=np.float32))
-        evaluator.evaluate(np.ascontiguousarray(positions, dtype=np.float32), frame_input.rows, clouds[-1:])
-    return clouds
+    frames = Evaluator([bound], precision=precision).frames(FrameInput(1))
+    return [frames.drape(positions, as_float32, gravity, None, None, None, None)[0] for positions, gravity in poses]
 
 
 class Skinner:
