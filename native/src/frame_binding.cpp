@@ -112,12 +112,19 @@ class BoundStep {
 // its frames are given alive.
 class BoundFrames {
  public:
-  BoundFrames(nb::handle evaluator, nb::handle frame_input)
+  BoundFrames(nb::handle evaluator, nb::handle frame_input, const std::vector<std::string>& joint_names, Floats rest)
       : evaluator_owner_(nb::borrow(evaluator)),
         input_owner_(nb::borrow(frame_input)),
         evaluator_(nb::cast<BoundEvaluator&>(evaluator).evaluator()),
         input_(nb::cast<FrameInput&>(frame_input)),
+        rest_(std::move(rest)),
         positions_(std::size_t(evaluator_.dofs())) {
+    check_shape(rest_, "rest", {evaluator_.dofs()});
+    for (std::size_t k = 0; k < joint_names.size(); ++k) joints_[joint_names[k].c_str()] = k;
+    if (joints_.size() != 0 && joints_.size() != positions_.size()) {
+      throw std::invalid_argument("there are " + std::to_string(joints_.size()) + " joint_names; expected none or " +
+                                  std::to_string(positions_.size()));
+    }
     if (input_.count() != evaluator_.count()) {
       throw std::invalid_argument("there are inputs for " + std::to_string(input_.count()) + " of " +
                                   std::to_string(evaluator_.count()) + " garments");
@@ -141,7 +148,7 @@ class BoundFrames {
 
  private:
   void take_positions(nb::handle given, nb::handle look_at_unusual) {
-    if (read_row(given, positions_.size(), positions_.data())) {
+    if (read_named(given) || read_row(given, positions_.size(), positions_.data())) {
       float sum = 0;
       for (float position : positions_) sum += position * position;
       if (sum <= kFullTurn * kFullTurn) return;  // the cheapest question that all usual poses pass, and no NaN
@@ -149,6 +156,25 @@ class BoundFrames {
     if (!read_row(look_at_unusual(given), positions_.size(), positions_.data())) {
       throw std::invalid_argument("joint_positions must have shape " + shape_text({evaluator_.dofs()}));
     }
+  }
+
+  // Positions by joint name, the others being at rest. False if this is no dictionary, or has what cannot be taken.
+  bool read_named(nb::handle given) {
+    if (!PyDict_Check(given.ptr()) || joints_.size() == 0) return false;
+    std::copy_n(rest_.data(), positions_.size(), positions_.begin());
+    PyObject *name, *value;
+    for (Py_ssize_t at = 0; PyDict_Next(given.ptr(), &at, &name, &value);) {
+      PyObject* joint = PyDict_GetItem(joints_.ptr(), name);  // null without an error
+      if (joint == nullptr) return false;
+      const nb::object held = nb::borrow(value);  // while code of its own may run
+      const double position = PyFloat_AsDouble(value);
+      if (position == -1 && PyErr_Occurred() != nullptr) {
+        PyErr_Clear();
+        return false;
+      }
+      positions_[PyLong_AsSize_t(joint)] = float(position);
+    }
+    return true;
   }
 
   nb::list new_clouds() const {
@@ -197,6 +223,8 @@ class BoundFrames {
   nb::object evaluator_owner_, input_owner_;
   Evaluator& evaluator_;
   FrameInput& input_;
+  Floats rest_;
+  nb::dict joints_;  // name -> index
   std::vector<nb::object> shapes_;
   std::vector<float> positions_;
   std::vector<VertexRows> rows_;
@@ -273,7 +301,8 @@ void bind_frame(nb::module_& module) {
       .def("keep", &BoundStep::keep)
       .def("compute_normals", &BoundStep::compute_normals);
   nb::class_<BoundFrames>(module, "Frames")
-      .def(nb::init<nb::handle, nb::handle>(), "evaluator"_a, "frame_input"_a)
+      .def(nb::init<nb::handle, nb::handle, const std::vector<std::string>&, Floats>(), "evaluator"_a, "frame_input"_a,
+           "joint_names"_a, "rest"_a.noconvert())
       .def("drape", &BoundFrames::drape, "joint_positions"_a, "look_at_unusual"_a, "gravity"_a,
            "effective_gravity"_a.none(), "time"_a.none(), "root"_a.none(), "outs"_a.none());
   nb::class_<BoundLayerOrder>(module, "LayerOrder")

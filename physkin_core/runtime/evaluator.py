@@ -105,16 +105,19 @@ class Evaluator:
         except TypeError:
             raise TypeError(_explain(joint_positions=joint_positions, inputs=inputs, out=outs[0])) from None
 
-    def frames(self, frame_input: FrameInput) -> native.Frames:
-        """Frames that are given anything that `Outfit.drape` takes, whose arrays may be others in each.
+    def frames(self, frame_input: FrameInput, rest: np.ndarray, joint_names: Sequence[str] = ()) -> native.Frames:
+        """Frames in one call each, of anything that `Outfit.drape` takes.
 
-        Returns an object whose one method `drape` does all of a frame. It takes joint_positions, look_at_unusual,
-        gravity, effective_gravity, time, root and outs, as `Outfit.drape` does, and returns the list of clouds, which
-        are new if outs is None. look_at_unusual is asked about anything but an array (d,) of float32 or float64 in
-        which no joint is a full turn off: it returns such an array, or raises. An error for arguments leaves `outs` as
-        they were.
+        frame_input: of as many garments; frames go on in it. rest: (d,) [rad] of joints that are left out where
+        positions are given by name; joint_names: (d,), or none: positions are then given by order alone.
+
+        Returns an object with one method, `drape`, of the arguments joint_positions, look_at_unusual, gravity,
+        effective_gravity, time, root and outs. It returns the list of clouds, which are new if outs is None. All but
+        look_at_unusual is as for `Outfit.drape`. That is a function which is asked about joint positions that are no
+        array (d,) of float32 or float64 and no dictionary of known joints, and about those far from 0, which may be
+        degrees or not finite. It returns such an array, or raises.
         """
-        return native.Frames(self._evaluator, frame_input.native)
+        return native.Frames(self._evaluator, frame_input.native, list(joint_names), as_float32(rest))
 
     def evaluate(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> None:
         """Computes one frame: `bind_frame`, then its `step`."""
@@ -147,7 +150,7 @@ def drape_poses(
 ) -> list[np.ndarray]:
     """One garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)), each for itself: of each
     (n, 6) float32 vertices and normals. Raises as `Evaluator` does."""
-    frames = Evaluator([bound], precision=precision).frames(FrameInput(1))
+    frames = Evaluator([bound], precision=precision).frames(FrameInput(1), bound.dof_rest)
     return [frames.drape(positions, as_float32, gravity, None, None, None, None)[0] for positions, gravity in poses]
 
 
