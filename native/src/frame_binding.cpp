@@ -108,23 +108,18 @@ class BoundStep {
   std::vector<VertexRows> rows_;
 };
 
-// Frames of an evaluator whose arrays may be others in each: one call does all of a frame. Keeps the evaluator and what
-// its frames are given alive.
+// Frames whose arrays may be others in each: one call does all of a frame. Keeps evaluator and frame input alive.
 class BoundFrames {
  public:
-  BoundFrames(nb::handle evaluator, nb::handle frame_input, const std::vector<std::string>& joint_names, Floats rest)
+  BoundFrames(nb::handle evaluator, nb::handle frame_input, Floats rest, nb::dict joint_indices)
       : evaluator_owner_(nb::borrow(evaluator)),
         input_owner_(nb::borrow(frame_input)),
         evaluator_(nb::cast<BoundEvaluator&>(evaluator).evaluator()),
         input_(nb::cast<FrameInput&>(frame_input)),
         rest_(std::move(rest)),
+        joint_indices_(std::move(joint_indices)),
         positions_(std::size_t(evaluator_.dofs())) {
     check_shape(rest_, "rest", {evaluator_.dofs()});
-    for (std::size_t k = 0; k < joint_names.size(); ++k) joints_[joint_names[k].c_str()] = k;
-    if (joints_.size() != 0 && joints_.size() != positions_.size()) {
-      throw std::invalid_argument("there are " + std::to_string(joints_.size()) + " joint_names; expected none or " +
-                                  std::to_string(positions_.size()));
-    }
     if (input_.count() != evaluator_.count()) {
       throw std::invalid_argument("there are inputs for " + std::to_string(input_.count()) + " of " +
                                   std::to_string(evaluator_.count()) + " garments");
@@ -160,11 +155,11 @@ class BoundFrames {
 
   // Positions by joint name, the others being at rest. False if this is no dictionary, or has what cannot be taken.
   bool read_named(nb::handle given) {
-    if (!PyDict_Check(given.ptr()) || joints_.size() == 0) return false;
+    if (!PyDict_Check(given.ptr()) || joint_indices_.size() == 0) return false;
     std::copy_n(rest_.data(), positions_.size(), positions_.begin());
     PyObject *name, *value;
     for (Py_ssize_t at = 0; PyDict_Next(given.ptr(), &at, &name, &value);) {
-      PyObject* joint = PyDict_GetItem(joints_.ptr(), name);  // null without an error
+      PyObject* joint = PyDict_GetItem(joint_indices_.ptr(), name);  // null without an error
       if (joint == nullptr) return false;
       const nb::object held = nb::borrow(value);  // while code of its own may run
       const double position = PyFloat_AsDouble(value);
@@ -172,7 +167,7 @@ class BoundFrames {
         PyErr_Clear();
         return false;
       }
-      positions_[PyLong_AsSize_t(joint)] = float(position);
+      positions_.at(PyLong_AsSize_t(joint)) = float(position);
     }
     return true;
   }
@@ -184,47 +179,23 @@ class BoundFrames {
     return clouds;
   }
 
-  // held: keeps alive what is no array of NumPy.
+  // held: as of given_rows.
   void take_outputs(const nb::list& outs, std::vector<OutputArray>& held) {
     check_output_count(outs.size(), evaluator_.count());
     rows_.clear();
     for (int k = 0; k < evaluator_.count(); ++k) {
-      const nb::handle out = outs[std::size_t(k)];
-      const int vertex_count = evaluator_[k].vertex_count();
-      if (const auto output = numpy_output(out)) {
-        rows_.push_back(vertex_rows(*output, vertex_count));
-      } else if (OutputArray other; nb::try_cast(out, other, false)) {
-        rows_.push_back(vertex_rows(held.emplace_back(std::move(other)), vertex_count));
-      } else {
-        throw nb::type_error(("out must be a writable float32 array of two dimensions, got " + described(out)).c_str());
-      }
+      rows_.push_back(given_rows(outs[std::size_t(k)], evaluator_[k].vertex_count(), held));
     }
     check_normals(rows_);
   }
 
-  static std::optional<Output> numpy_output(nb::handle out) {
-    const NumpyArray* array = Numpy::get().view(out);
-    if (array == nullptr || array->ndim != 2 || !array->dtype->is('f') || !array->is_writable()) return std::nullopt;
-    const Py_ssize_t rows = array->strides[0], columns = array->strides[1], size = sizeof(float);
-    if (rows % size != 0 || columns % size != 0) return std::nullopt;
-    return Output{array->data, array->shape[0], array->shape[1], rows / size, columns / size};
-  }
-
-  static std::string described(nb::handle out) {
-    const auto text = [](nb::object of) { return std::string(nb::str(nb::handle(of)).c_str()); };
-    const NumpyArray* array = Numpy::get().view(out);
-    if (array == nullptr) return text(out.type().attr("__name__"));
-    return (array->is_writable() ? "" : "read-only ") + text(out.attr("dtype")) + " of shape " +
-           text(out.attr("shape"));
-  }
-
-  static constexpr float kFullTurn = 6.2831853f;
+  static constexpr float kFullTurn = 6.2831853f;  // [rad]
 
   nb::object evaluator_owner_, input_owner_;
   Evaluator& evaluator_;
   FrameInput& input_;
   Floats rest_;
-  nb::dict joints_;  // name -> index
+  nb::dict joint_indices_;
   std::vector<nb::object> shapes_;
   std::vector<float> positions_;
   std::vector<VertexRows> rows_;
@@ -301,8 +272,8 @@ void bind_frame(nb::module_& module) {
       .def("keep", &BoundStep::keep)
       .def("compute_normals", &BoundStep::compute_normals);
   nb::class_<BoundFrames>(module, "Frames")
-      .def(nb::init<nb::handle, nb::handle, const std::vector<std::string>&, Floats>(), "evaluator"_a, "frame_input"_a,
-           "joint_names"_a, "rest"_a.noconvert())
+      .def(nb::init<nb::handle, nb::handle, Floats, nb::dict>(), "evaluator"_a, "frame_input"_a, "rest"_a.noconvert(),
+           "joint_indices"_a)
       .def("drape", &BoundFrames::drape, "joint_positions"_a, "look_at_unusual"_a, "gravity"_a,
            "effective_gravity"_a.none(), "time"_a.none(), "root"_a.none(), "outs"_a.none());
   nb::class_<BoundLayerOrder>(module, "LayerOrder")

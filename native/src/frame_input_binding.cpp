@@ -92,6 +92,7 @@ void fill(FrameInput& input, nb::handle gravity, nb::handle effective_gravity, n
 }
 
 void bind_frame_input(nb::module_& module) {
+  Numpy::get();
   nb::class_<RootSample>(module, "RootSample").def_prop_ro("known", [](const RootSample& self) { return self.known; });
   nb::class_<RootTracker>(module, "RootTracker")
       .def(nb::init<>())

@@ -9,6 +9,9 @@
 #include <cstring>
 #include <stdexcept>
 #include <string>
+#include <vector>
+
+#include "python_arrays.hpp"
 
 namespace physkin {
 
@@ -16,7 +19,8 @@ namespace nb = nanobind;
 
 // The beginning of PyArray_Descr.
 struct NumpyDtype {
-  PyObject_HEAD PyTypeObject* scalar;
+  PyObject head;
+  PyTypeObject* scalar;
   char kind, type, byte_order;
 
   bool is(char wanted) const { return type == wanted && byte_order == '='; }
@@ -24,7 +28,8 @@ struct NumpyDtype {
 
 // The beginning of PyArrayObject.
 struct NumpyArray {
-  PyObject_HEAD char* data;
+  PyObject head;
+  char* data;
   int ndim;
   const Py_ssize_t *shape, *strides;  // strides in bytes
   PyObject* base;
@@ -99,8 +104,12 @@ class GivenNumbers {
   nb::object array() const { return Numpy::get().asarray(given_, Numpy::get().float64); }
 
   nb::handle given_;
-  double values_[N];
+  double values_[N] = {};
   bool good_;
 };
+
+// The rows of an array that `vertex_count` vertices are written to. Throws nb::type_error for anything but a writable
+// array of float32 of two dimensions, and as `vertex_rows` does. held: keeps alive what is no array of NumPy.
+VertexRows given_rows(nb::handle out, int vertex_count, std::vector<OutputArray>& held);
 
 }  // namespace physkin

@@ -118,7 +118,7 @@ class Outfit:
         self.layers = tuple(layers)
         self._evaluator = Evaluator([layer.bound_visible for layer in layers], self.orders, precision=self._asked)
         self.frame_input = FrameInput(len(layers))
-        self._frames = self._evaluator.frames(self.frame_input, self.rig.rest, self.joint_names)
+        self._frames = self._evaluator.frames(self.frame_input, self.rig.rest, self.rig.joint_indices)
         self._warned_of_degrees = False
 
     def twin(self) -> Outfit:

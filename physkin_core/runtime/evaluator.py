@@ -105,11 +105,13 @@ class Evaluator:
         except TypeError:
             raise TypeError(_explain(joint_positions=joint_positions, inputs=inputs, out=outs[0])) from None
 
-    def frames(self, frame_input: FrameInput, rest: np.ndarray, joint_names: Sequence[str] = ()) -> native.Frames:
+    def frames(
+        self, frame_input: FrameInput, rest: np.ndarray, joint_indices: dict[str, int] | None = None
+    ) -> native.Frames:
         """Frames in one call each, of anything that `Outfit.drape` takes.
 
         frame_input: of as many garments; frames go on in it. rest: (d,) [rad] of joints that are left out where
-        positions are given by name; joint_names: (d,), or none: positions are then given by order alone.
+        positions are given by name; joint_indices: of the names, or none: positions are then given by order alone.
 
         Returns an object with one method, `drape`, of the arguments joint_positions, look_at_unusual, gravity,
         effective_gravity, time, root and outs. It returns the list of clouds, which are new if outs is None. All but
@@ -117,7 +119,7 @@ class Evaluator:
         array (d,) of float32 or float64 and no dictionary of known joints, and about those far from 0, which may be
         degrees or not finite. It returns such an array, or raises.
         """
-        return native.Frames(self._evaluator, frame_input.native, list(joint_names), as_float32(rest))
+        return native.Frames(self._evaluator, frame_input.native, as_float32(rest), joint_indices or {})
 
     def evaluate(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> None:
         """Computes one frame: `bind_frame`, then its `step`."""
