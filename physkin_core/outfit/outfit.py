@@ -217,6 +217,7 @@ class Outfit:
 
         Raises:
             ValueError: for wrong lengths, unknown joints and values that are not finite, naming the joint.
+            TypeError: for an output of another dtype, or that cannot be written.
 
         Examples:
             >>> tshirt = physkin.load_garment_model("tshirt")
