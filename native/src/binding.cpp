@@ -138,6 +138,7 @@ NB_MODULE(_native, module) {
   module.def("bound_garment_fields", physkin::described_fields);
   module.attr("constants") = physkin::constants();
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);
+  physkin::bind_frame_input(module);  // before what takes them
   physkin::bind_frame(module);
   physkin::bind_joints(module);
   physkin::bind_separation(module);

@@ -5,8 +5,10 @@
 
 namespace physkin {
 
-// `Evaluator`, `Step`, `LayerOrder`, and what a frame is given: `RootSample`, `RootTracker`, `FrameInput`.
+// `Evaluator`, `Step` and `LayerOrder`.
 void bind_frame(nanobind::module_& module);
+// What a frame is given: `RootSample`, `RootTracker`, `FrameInput` and `unit_direction`.
+void bind_frame_input(nanobind::module_& module);
 // `MessageBeginning`, `JointReading` and `PoseRange`.
 void bind_joints(nanobind::module_& module);
 // `LimbSeparator`.

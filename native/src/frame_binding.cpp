@@ -1,8 +1,9 @@
 // The part of physkin_core._native that computes frames: checks and converts, computes nothing.
 #include "bindings.hpp"
+#include "frame_input_binding.hpp"
+#include "numpy_arrays.hpp"
 #include "outfit/evaluator.hpp"
 #include "python_arrays.hpp"
-#include "sway/frame_input.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -10,20 +11,7 @@ using namespace nb::literals;
 namespace physkin {
 namespace {
 
-using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Outputs = std::vector<OutputArray>;
-
-const double* vector_of(const Vector& array, const char* name, int size) {
-  check_shape(array, name, {size});
-  return array.data();
-}
-
-int checked_garment(int garment, int count) {
-  if (garment < 0 || garment >= count) {
-    throw std::out_of_range("garment " + std::to_string(garment) + " of " + std::to_string(count));
-  }
-  return garment;
-}
 
 // What keeps two layers in order; it reads arrays of the reader's.
 LayerOrderData layer_order_data(PythonReader& reader, nb::handle order) {
@@ -59,6 +47,28 @@ class BoundEvaluator {
   Evaluator evaluator_;
 };
 
+void check_output_count(std::size_t count, int garments) {
+  if (count == std::size_t(garments)) return;
+  throw std::invalid_argument("out has " + std::to_string(count) + " arrays; expected one for each of " +
+                              std::to_string(garments) + " garments");
+}
+
+void check_normals(const std::vector<VertexRows>& rows) {
+  for (const VertexRows& each : rows) {
+    if (each.with_normals != rows[0].with_normals) {
+      throw std::invalid_argument("arrays of out must all have normals, or none");
+    }
+  }
+}
+
+// Throws std::invalid_argument if an input or what the networks make of it is not finite.
+void step(Evaluator& evaluator, const float* joint_positions, const GarmentInput* inputs, const VertexRows* rows) {
+  if (const Rejection bad = evaluator.step(joint_positions, inputs, rows)) {
+    const std::string garment = evaluator.count() > 1 ? "garment " + std::to_string(evaluator.rejected()) + ": " : "";
+    throw std::invalid_argument(garment + bad.message());
+  }
+}
+
 // A frame whose arrays were checked once: a call converts and allocates nothing. Keeps evaluator and arrays alive.
 class BoundStep {
  public:
@@ -70,25 +80,14 @@ class BoundStep {
         outs_(std::move(outs)) {
     check_shape(joint_positions_, "joint_positions", {evaluator_.dofs()});
     check_shape(inputs_, "inputs", {evaluator_.count(), kGarmentInput});
-    if (outs_.size() != std::size_t(evaluator_.count())) {
-      throw std::invalid_argument("out has " + std::to_string(outs_.size()) + " arrays; expected one for each of " +
-                                  std::to_string(evaluator_.count()) + " garments");
-    }
+    check_output_count(outs_.size(), evaluator_.count());
     for (std::size_t k = 0; k < outs_.size(); ++k) {
       rows_.push_back(vertex_rows(outs_[k], evaluator_[int(k)].vertex_count()));
-      if (rows_[k].with_normals != rows_[0].with_normals) {
-        throw std::invalid_argument("arrays of out must all have normals, or none");
-      }
     }
+    check_normals(rows_);
   }
 
-  void step() {
-    if (const Rejection bad = evaluator_.step(joint_positions_.data(), inputs(), rows_.data())) {
-      const std::string garment =
-          evaluator_.count() > 1 ? "garment " + std::to_string(evaluator_.rejected()) + ": " : "";
-      throw std::invalid_argument(garment + bad.message());
-    }
-  }
+  void step() { physkin::step(evaluator_, joint_positions_.data(), inputs(), rows_.data()); }
   void pose() { evaluator_.pose(joint_positions_.data(), inputs()); }
   void run_networks() { evaluator_.run_networks(inputs()); }
   void compose_nodes() { evaluator_.compose_nodes(inputs()); }
@@ -106,6 +105,99 @@ class BoundStep {
   Floats joint_positions_;
   RowArray inputs_;
   Outputs outs_;
+  std::vector<VertexRows> rows_;
+};
+
+// Frames whose arrays may be others in each: one call does all of a frame. Keeps evaluator and frame input alive.
+class BoundFrames {
+ public:
+  BoundFrames(nb::handle evaluator, nb::handle frame_input, Floats rest, nb::dict joint_indices)
+      : evaluator_owner_(nb::borrow(evaluator)),
+        input_owner_(nb::borrow(frame_input)),
+        evaluator_(nb::cast<BoundEvaluator&>(evaluator).evaluator()),
+        input_(nb::cast<FrameInput&>(frame_input)),
+        rest_(std::move(rest)),
+        joint_indices_(std::move(joint_indices)),
+        positions_(std::size_t(evaluator_.dofs())) {
+    check_shape(rest_, "rest", {evaluator_.dofs()});
+    if (input_.count() != evaluator_.count()) {
+      throw std::invalid_argument("there are inputs for " + std::to_string(input_.count()) + " of " +
+                                  std::to_string(evaluator_.count()) + " garments");
+    }
+    for (int k = 0; k < evaluator_.count(); ++k) {
+      shapes_.push_back(nb::make_tuple(evaluator_[k].vertex_count(), 6));
+    }
+  }
+
+  // See Evaluator.frames in evaluator.py.
+  nb::object drape(nb::handle joint_positions, nb::handle look_at_unusual, nb::handle gravity,
+                   nb::handle effective_gravity, nb::handle time, nb::handle root, nb::handle outs) {
+    take_positions(joint_positions, look_at_unusual);
+    const nb::list clouds = outs.is_none() ? new_clouds() : nb::list(outs);
+    std::vector<OutputArray> held;
+    take_outputs(clouds, held);
+    fill(input_, gravity, effective_gravity, time, root);
+    step(evaluator_, positions_.data(), input_.rows(), rows_.data());
+    return clouds;
+  }
+
+ private:
+  void take_positions(nb::handle given, nb::handle look_at_unusual) {
+    if (read_named(given) || read_row(given, positions_.size(), positions_.data())) {
+      float sum = 0;
+      for (float position : positions_) sum += position * position;
+      if (sum <= kFullTurn * kFullTurn) return;  // the cheapest question that all usual poses pass, and no NaN
+    }
+    if (!read_row(look_at_unusual(given), positions_.size(), positions_.data())) {
+      throw std::invalid_argument("joint_positions must have shape " + shape_text({evaluator_.dofs()}));
+    }
+  }
+
+  // Positions by joint name, the others being at rest. False if this is no dictionary, or has what cannot be taken.
+  bool read_named(nb::handle given) {
+    if (!PyDict_Check(given.ptr()) || joint_indices_.size() == 0) return false;
+    std::copy_n(rest_.data(), positions_.size(), positions_.begin());
+    PyObject *name, *value;
+    for (Py_ssize_t at = 0; PyDict_Next(given.ptr(), &at, &name, &value);) {
+      PyObject* joint = PyDict_GetItem(joint_indices_.ptr(), name);  // null without an error
+      if (joint == nullptr) return false;
+      const nb::object held = nb::borrow(value);  // while code of its own may run
+      const double position = PyFloat_AsDouble(value);
+      if (position == -1 && PyErr_Occurred() != nullptr) {
+        PyErr_Clear();
+        return false;
+      }
+      positions_.at(PyLong_AsSize_t(joint)) = float(position);
+    }
+    return true;
+  }
+
+  nb::list new_clouds() const {
+    const Numpy& numpy = Numpy::get();
+    nb::list clouds;
+    for (const nb::object& shape : shapes_) clouds.append(numpy.empty(shape, numpy.float32));
+    return clouds;
+  }
+
+  // held: as of given_rows.
+  void take_outputs(const nb::list& outs, std::vector<OutputArray>& held) {
+    check_output_count(outs.size(), evaluator_.count());
+    rows_.clear();
+    for (int k = 0; k < evaluator_.count(); ++k) {
+      rows_.push_back(given_rows(outs[std::size_t(k)], evaluator_[k].vertex_count(), held));
+    }
+    check_normals(rows_);
+  }
+
+  static constexpr float kFullTurn = 6.2831853f;  // [rad]
+
+  nb::object evaluator_owner_, input_owner_;
+  Evaluator& evaluator_;
+  FrameInput& input_;
+  Floats rest_;
+  nb::dict joint_indices_;
+  std::vector<nb::object> shapes_;
+  std::vector<float> positions_;
   std::vector<VertexRows> rows_;
 };
 
@@ -156,11 +248,6 @@ void measure_clearance(BoundEvaluator& self, int garment, const WrittenFloats& o
 
 int clearances(BoundEvaluator& self, int garment) { return self.garment(garment).clearances(); }
 
-nb::ndarray<nb::numpy, float, nb::shape<-1, kGarmentInput>, nb::c_contig> rows(FrameInput& self) {
-  return {
-      reinterpret_cast<float*>(self.rows()), {std::size_t(self.count()), std::size_t(kGarmentInput)}, nb::find(self)};
-}
-
 }  // namespace
 
 void bind_frame(nb::module_& module) {
@@ -184,61 +271,15 @@ void bind_frame(nb::module_& module) {
       .def("skin", &BoundStep::skin)
       .def("keep", &BoundStep::keep)
       .def("compute_normals", &BoundStep::compute_normals);
+  nb::class_<BoundFrames>(module, "Frames")
+      .def(nb::init<nb::handle, nb::handle, Floats, nb::dict>(), "evaluator"_a, "frame_input"_a, "rest"_a.noconvert(),
+           "joint_indices"_a)
+      .def("drape", &BoundFrames::drape, "joint_positions"_a, "look_at_unusual"_a, "gravity"_a,
+           "effective_gravity"_a.none(), "time"_a.none(), "root"_a.none(), "outs"_a.none());
   nb::class_<BoundLayerOrder>(module, "LayerOrder")
       .def(nb::init<nb::handle, int, int>(), "order"_a, "steady_vertices"_a, "yielding_vertices"_a)
       .def("apply", &BoundLayerOrder::apply, "steady"_a.noconvert(), "yielding"_a.noconvert(), "look_at_all"_a,
            "passed"_a = -1.0f);
-  nb::class_<RootSample>(module, "RootSample").def_prop_ro("known", [](const RootSample& self) { return self.known; });
-  nb::class_<RootTracker>(module, "RootTracker")
-      .def(nb::init<>())
-      .def("reset", &RootTracker::reset)
-      .def(
-          "move",
-          [](RootTracker& self, double time, const Vector& root) {
-            raise_if(self.move(time, vector_of(root, "root", 7)));
-            return self.sample();
-          },
-          "time"_a, "root"_a);
-  nb::class_<FrameInput>(module, "FrameInput")
-      .def(nb::init<int>(), "garments"_a)
-      .def(
-          "set_sway",
-          [](FrameInput& self, int garment, double amount) {
-            self.set_sway(checked_garment(garment, self.count()), amount);
-          },
-          "garment"_a, "amount"_a)
-      .def(
-          "sway", [](FrameInput& self, int garment) { return self.sway(checked_garment(garment, self.count())); },
-          "garment"_a)
-      .def(
-          "set_wind",
-          [](FrameInput& self, const Vector& velocity) { raise_if(self.set_wind(vector_of(velocity, "wind", 3))); },
-          "velocity"_a)
-      .def("wind",
-           [](const FrameInput& self) { return nb::make_tuple(self.wind()[0], self.wind()[1], self.wind()[2]); })
-      .def("reset", &FrameInput::reset)
-      .def(
-          "hang",
-          [](FrameInput& self, const Vector& direction) { raise_if(self.hang(vector_of(direction, "gravity", 3))); },
-          "direction"_a)
-      .def(
-          "accelerate",
-          [](FrameInput& self, const Vector& gravity, const std::optional<Vector>& at_rest) {
-            const double* rest = at_rest ? vector_of(*at_rest, "at_rest", 3) : nullptr;
-            raise_if(self.accelerate(vector_of(gravity, "effective_gravity", 3), rest));
-          },
-          "effective_gravity"_a, "at_rest"_a = nb::none())
-      .def("follow", &FrameInput::follow, "root"_a)
-      .def(
-          "move",
-          [](FrameInput& self, double time, const Vector& root) {
-            raise_if(self.move(time, vector_of(root, "root", 7)));
-          },
-          "time"_a, "root"_a)
-      .def(
-          "begin_frame", [](FrameInput& self, double time) { raise_if(self.begin_frame(time)); }, "time"_a)
-      .def("begin_still_frame", &FrameInput::begin_still_frame)
-      .def_prop_ro("rows", rows);
 }
 
 }  // namespace physkin

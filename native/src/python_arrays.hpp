@@ -133,6 +133,13 @@ class PythonReader : public FieldSource {
   std::vector<nb::object> held_;
 };
 
+inline int checked_garment(int garment, int count) {
+  if (garment < 0 || garment >= count) {
+    throw std::out_of_range("garment " + std::to_string(garment) + " of " + std::to_string(count));
+  }
+  return garment;
+}
+
 inline void raise_if(const char* wrong) {
   if (wrong != nullptr) throw std::invalid_argument(wrong);
 }
@@ -140,19 +147,28 @@ inline void raise_if(const Rejection& rejection) {
   if (rejection) throw std::invalid_argument(rejection.message());
 }
 
-inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
-  const std::size_t columns = out.shape(1);
-  if (out.shape(0) != std::size_t(vertex_count) || (columns != 3 && columns != 6)) {
-    throw std::invalid_argument("out has shape " + shape_text({int(out.shape(0)), int(columns)}) + "; expected " +
+// An array of float32 that vertices are written to; strides in floats.
+struct Output {
+  void* data;
+  std::int64_t rows, columns, row_stride, column_stride;
+};
+
+inline VertexRows vertex_rows(const Output& out, int vertex_count) {
+  if (out.rows != vertex_count || (out.columns != 3 && out.columns != 6)) {
+    throw std::invalid_argument("out has shape " + shape_text({int(out.rows), int(out.columns)}) + "; expected " +
                                 shape_text({vertex_count, 3}) + " or " + shape_text({vertex_count, 6}));
   }
-  if (out.stride(1) != 1)
+  if (out.column_stride != 1)
     throw std::invalid_argument("a row of out must be contiguous; rows may be any distance apart");
-  const std::int64_t stride = out.stride(0);
-  if (vertex_count > 1 && std::uint64_t(std::abs(stride)) < columns) {
-    throw std::invalid_argument("rows of out overlap: they are " + std::to_string(stride) + " floats apart");
+  if (vertex_count > 1 && std::abs(out.row_stride) < out.columns) {
+    throw std::invalid_argument("rows of out overlap: they are " + std::to_string(out.row_stride) + " floats apart");
   }
-  return {reinterpret_cast<unsigned char*>(out.data()), std::ptrdiff_t(stride), columns == 6};
+  return {static_cast<unsigned char*>(out.data), std::ptrdiff_t(out.row_stride), out.columns == 6};
+}
+
+inline VertexRows vertex_rows(const OutputArray& out, int vertex_count) {
+  const Output output{out.data(), std::int64_t(out.shape(0)), std::int64_t(out.shape(1)), out.stride(0), out.stride(1)};
+  return vertex_rows(output, vertex_count);
 }
 
 using Text = std::optional<std::string>;  // None: from the environment, or the default

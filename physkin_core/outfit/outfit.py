@@ -118,6 +118,7 @@ class Outfit:
         self.layers = tuple(layers)
         self._evaluator = Evaluator([layer.bound_visible for layer in layers], self.orders, precision=self._asked)
         self.frame_input = FrameInput(len(layers))
+        self._frames = self._evaluator.frames(self.frame_input, self.rig.rest, self.rig.joint_indices)
         self._warned_of_degrees = False
 
     def twin(self) -> Outfit:
@@ -216,18 +217,15 @@ class Outfit:
 
         Raises:
             ValueError: for wrong lengths, unknown joints and values that are not finite, naming the joint.
+            TypeError: for an output of another dtype, or that cannot be written.
 
         Examples:
             >>> tshirt = physkin.load_garment_model("tshirt")
             >>> outfit = physkin.Outfit([tshirt], physkin.load_avatar("me.glb", tshirt.rig))
             >>> (cloud,) = outfit.drape({"lowerarm01.L_z": -1.0})
         """
-        positions = self.checked_positions(joint_positions)
-        self.frame_input.fill(gravity, effective_gravity=effective_gravity, time=time, root=root)
-        if outs is None:
-            outs = [np.empty((layer.vertex_count, 6), dtype=np.float32) for layer in self.layers]
-        self._evaluator.evaluate(positions, self.frame_input.rows, outs)
-        return list(outs)
+        look_at = self.checked_positions
+        return self._frames.drape(joint_positions, look_at, gravity, effective_gravity, time, root, outs)
 
     def checked_positions(self, joint_positions: np.ndarray | Mapping[str, float]) -> np.ndarray:
         """Joint positions, checked and in the rig's order. Warns once if values look like degrees.

@@ -65,8 +65,7 @@ class BoneRotations:
             self.bone_names = ("hips", *balls)
         self._row = dict.fromkeys(self.bone_names, -1) | {bone: row for row, bone in enumerate(balls)}
         self._count = len(balls)
-        index = {name: k for k, name in enumerate(rig.joint_names)}
-        self._solver = BallRotations(list(balls.values()), index)
+        self._solver = BallRotations(list(balls.values()), rig.joint_indices)
 
     def joint_positions(
         self, rotations: Mapping[str, Sequence[float]] | np.ndarray, *, start: np.ndarray | None = None

@@ -137,6 +137,11 @@ class Rig:
         """(d,) names of the joints, in the order of joint positions."""
         return tuple(dof.name for dof in self.dofs)
 
+    @cached_property
+    def joint_indices(self) -> dict[str, int]:
+        """The index of each joint in the order of joint positions, by its name."""
+        return {name: index for index, name in enumerate(self.joint_names)}
+
     @property
     def pose_size(self) -> int:
         """Length p of the pose vector: one number for each joint, then the direction of gravity."""
@@ -165,7 +170,7 @@ class Rig:
         positions = np.array(self.rest if start is None else start, dtype=np.float64)
         if positions.shape != (len(self.dofs),):
             raise RigError(f"start has shape {positions.shape}, expected ({len(self.dofs)},)")
-        index = {name: k for k, name in enumerate(self.joint_names)}
+        index = self.joint_indices
         for name, value in mapping.items():
             if name not in index:
                 close = ", ".join(get_close_matches(str(name), self.joint_names, cutoff=0.4))

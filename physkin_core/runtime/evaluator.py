@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from physkin_core.model.skinning import SkinningData
-from physkin_core.native_module import native
+from physkin_core.native_module import as_float32, native
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.frame_input import FrameInput
 
@@ -105,6 +105,22 @@ class Evaluator:
         except TypeError:
             raise TypeError(_explain(joint_positions=joint_positions, inputs=inputs, out=outs[0])) from None
 
+    def frames(
+        self, frame_input: FrameInput, rest: np.ndarray, joint_indices: dict[str, int] | None = None
+    ) -> native.Frames:
+        """Frames in one call each, of anything that `Outfit.drape` takes.
+
+        frame_input: of as many garments; frames go on in it. rest: (d,) [rad] of joints that are left out where
+        positions are given by name; joint_indices: of the names, or none: positions are then given by order alone.
+
+        Returns an object with one method, `drape`, of the arguments joint_positions, look_at_unusual, gravity,
+        effective_gravity, time, root and outs. It returns the list of clouds, which are new if outs is None. All but
+        look_at_unusual is as for `Outfit.drape`. That is a function which is asked about joint positions that are no
+        array (d,) of float32 or float64 and no dictionary of known joints, and about those far from 0, which may be
+        degrees or not finite. It returns such an array, or raises.
+        """
+        return native.Frames(self._evaluator, frame_input.native, as_float32(rest), joint_indices or {})
+
     def evaluate(self, joint_positions: np.ndarray, inputs: np.ndarray, outs: Sequence[np.ndarray]) -> None:
         """Computes one frame: `bind_frame`, then its `step`."""
         self.bind_frame(joint_positions, inputs, outs).step()
@@ -136,13 +152,8 @@ def drape_poses(
 ) -> list[np.ndarray]:
     """One garment by itself in poses (joint positions (d,) [rad], direction of gravity (3,)), each for itself: of each
     (n, 6) float32 vertices and normals. Raises as `Evaluator` does."""
-    evaluator, frame_input = Evaluator([bound], precision=precision), FrameInput(1)
-    clouds = []
-    for positions, gravity in poses:
-        frame_input.fill(gravity)
-        clouds.append(np.empty((len(bound.vertices), 6), dtype=np.float32))
-        evaluator.evaluate(np.ascontiguousarray(positions, dtype=np.float32), frame_input.rows, clouds[-1:])
-    return clouds
+    frames = Evaluator([bound], precision=precision).frames(FrameInput(1), bound.dof_rest)
+    return [frames.drape(positions, as_float32, gravity, None, None, None, None)[0] for positions, gravity in poses]
 
 
 class Skinner:

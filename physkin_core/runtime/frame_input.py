@@ -9,8 +9,7 @@ Dimensions: `g` garments. Metres, seconds, radians, root frame.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 
 import numpy as np
@@ -78,8 +77,8 @@ class FrameInput:
     def __init__(self, garments: int) -> None:
         if garments < 1:
             raise ValueError(f"garments is {garments}; there must be 1 or more")
-        self._native = native.FrameInput(garments)
-        self.rows: np.ndarray = self._native.rows
+        self.native = native.FrameInput(garments)
+        self.rows: np.ndarray = self.native.rows
 
     @property
     def sway(self) -> tuple[float, ...]:
@@ -89,14 +88,14 @@ class FrameInput:
         Raises:
             ValueError: if a value is not from 0 to 1, or if there are not as many values as garments.
         """
-        return tuple(self._native.sway(garment) for garment in range(len(self.rows)))
+        return tuple(self.native.sway(garment) for garment in range(len(self.rows)))
 
     @sway.setter
     def sway(self, amounts: Sequence[float]) -> None:
         if len(amounts) != len(self.rows):
             raise ValueError(f"sway has {len(amounts)} numbers; expected one for each of {len(self.rows)} garments")
         for garment, amount in enumerate([checked_sway(amount) for amount in amounts]):
-            self._native.set_sway(garment, amount)
+            self.native.set_sway(garment, amount)
 
     @property
     def wind(self) -> tuple[float, float, float]:
@@ -107,16 +106,16 @@ class FrameInput:
         Raises:
             ValueError: when set to anything but three finite numbers, at most 13 m/s long.
         """
-        return self._native.wind()
+        return self.native.wind()
 
     @wind.setter
     def wind(self, velocity: Sequence[float]) -> None:
-        _checked(self._native.set_wind, np.asarray(velocity))
+        self.native.set_wind(velocity)
 
     def reset(self) -> None:
         """Start again in the next frame from cloth that hangs still, as in the first frame: for another motion, or
         after the root was moved by hand."""
-        self._native.reset()
+        self.native.reset()
 
     def set_gravity(self, gravity: np.ndarray) -> None:
         """Say where down is, for a root at rest.
@@ -127,7 +126,7 @@ class FrameInput:
         Raises:
             ValueError: for anything else.
         """
-        _checked(self._native.hang, gravity)
+        self.native.hang(gravity)
 
     def set_effective_gravity(self, effective_gravity: np.ndarray, at_rest: np.ndarray | None = None) -> None:
         """Say what pulls at the cloth, if only the acceleration of the root is known.
@@ -141,8 +140,7 @@ class FrameInput:
         Raises:
             ValueError: for values that are not allowed.
         """
-        rest = None if at_rest is None else np.ascontiguousarray(at_rest, dtype=np.float64)
-        _checked(lambda vector: self._native.accelerate(vector, rest), effective_gravity)
+        self.native.accelerate(effective_gravity, at_rest)
 
     def set_root(self, time: float, root: np.ndarray) -> None:
         """Say where the root is, for a root that moves through the world.
@@ -157,8 +155,7 @@ class FrameInput:
         Raises:
             ValueError: for values that are not finite, another number of them, or a quaternion of no length.
         """
-        moment = _checked_time(time)
-        _checked(lambda vector: self._native.move(moment, vector), root)
+        self.native.move(time, root)
 
     def set_root_sample(self, root: native.RootSample) -> None:
         """Say how the root moves, as a `RootTracker` knows it.
@@ -166,7 +163,7 @@ class FrameInput:
         Args:
             root: what `RootTracker.move` gave.
         """
-        self._native.follow(root)
+        self.native.follow(root)
 
     def begin_frame(self, time: float | None = None) -> None:
         """Begin a frame, and end the one before.
@@ -178,10 +175,7 @@ class FrameInput:
         Raises:
             ValueError: for a time that is not finite.
         """
-        if time is None:
-            self._native.begin_still_frame()
-        else:
-            self._native.begin_frame(_checked_time(time))
+        self.native.begin_frame(time)
 
     def fill(
         self,
@@ -202,24 +196,12 @@ class FrameInput:
         Raises:
             ValueError: as the methods above do, and for `root` without `time` or with `effective_gravity`.
         """
-        if root is not None:
-            if time is None or effective_gravity is not None:
-                raise ValueError("give time with root, and no effective gravity: it follows from them")
-            self.set_root(time, root)
-        elif effective_gravity is not None:
-            self.set_effective_gravity(effective_gravity)
-        else:
-            self.set_gravity(unit_direction(gravity))
-        self.begin_frame(time)
+        self.native.fill(gravity, effective_gravity, time, root)
 
 
 def unit_direction(gravity: np.ndarray) -> np.ndarray:
     """Unit direction (3,) float64 of a gravity of any length. Raises ValueError unless it is finite and has one."""
-    down = np.asarray(gravity, dtype=np.float64)
-    length = math.hypot(*down.tolist()) if down.shape == (3,) else math.nan
-    if not 1e-9 <= length < math.inf:
-        raise ValueError(f"gravity must be a finite, non-zero direction (3,), got {down.tolist()}")
-    return down / length
+    return np.array(native.unit_direction(gravity))
 
 
 def checked_sway(amount: float) -> float:
@@ -234,20 +216,3 @@ def checked_wind(velocity: Sequence[float]) -> tuple[float, float, float]:
     frame_input = FrameInput(1)
     frame_input.wind = velocity
     return frame_input.wind
-
-
-def _checked_time(time: float) -> float:
-    if not math.isfinite(time):
-        raise ValueError(f"time must be finite, got {time}")
-    return time
-
-
-def _checked(take: Callable[[np.ndarray], None], values: np.ndarray) -> None:
-    """Hand a vector over; an error names its values."""
-    vector = np.ascontiguousarray(values, dtype=np.float64)
-    if vector.ndim != 1:
-        raise ValueError(f"gravity, wind and roots are rows of numbers, got an array of shape {vector.shape}")
-    try:
-        take(vector)
-    except ValueError as error:
-        raise ValueError(f"{error}, got {vector.tolist()}") from None

@@ -102,7 +102,7 @@ class AvatarStream:
             raise ValueError(f"{self._label}the avatar is not there any more, nothing is loaded for it")
         loaded, previous = self._loader.load(settings), self.worn
         warners = {"on_unknown": self._warn_unknown, "on_degrees": self._warn_degrees}
-        now = WornOutfit(settings, loaded, self.garments, previous, **warners)
+        now = WornOutfit(settings, loaded, self.garments, self.root.frame_input, previous, **warners)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
         if previous is not None:
@@ -156,7 +156,7 @@ class AvatarStream:
     def _answer(self, worn: WornOutfit, sec: int, nanosec: int) -> None:
         """Drape the joint positions that have been received, or keep them for the clouds between two poses.
 
-        `root.take` finds what belongs to this stamp; `begin_frame` then writes it into the rows that `_drape` hands on.
+        `root.take` finds what belongs to this stamp; `begin_frame` then writes it into the rows that `_drape` reads.
         """
         stamp_ns = sec * NANOSECONDS + nanosec
         if self.root.fault and self.root.motion() is None:
@@ -182,7 +182,7 @@ class AvatarStream:
     def _drape(self, worn: WornOutfit, positions: np.ndarray, sec: int, nanosec: int) -> bool:
         """Drape joint positions in the frame that the root's state has begun, and publish the clouds."""
         try:
-            separation = worn.set_frame(positions, self.root.frame_input.rows)
+            separation = worn.set_pose(positions)
             began = perf_counter_ns()
             worn.step()
             took = perf_counter_ns() - began

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from physkin_core import LimbSeparator, Rig
+from physkin_core import FrameInput, LimbSeparator, Rig
 from physkin_ros.joints.bone_rotation_message import BoneRotationReader
 from physkin_ros.joints.joint_naming import load_naming
 from physkin_ros.joints.joint_state_wire import JointStateWire
@@ -28,10 +28,11 @@ __all__ = ["WornOutfit"]
 class WornOutfit:
     """An outfit with the readers of messages for its rig, and the messages that its frames fill.
 
-    streams: of the garments, from the skin outwards. before: what was worn until now. on_unknown, on_degrees: as of
-    `JointStateReader`.
-    received: (d,) float32, the joint positions of the last message; only the readers write them. step: computes the
-    frame that `set_frame` has set into the garments' messages; raises ValueError when a result is not finite.
+    streams: of the garments, from the skin outwards. frame_input: whose rows its frames read. before: what was worn
+    until now. on_unknown, on_degrees: as of `JointStateReader`.
+    received: (d,) float32, the joint positions of the last message; only the readers write them. draped: (d,) float32,
+    those that are draped. step: computes their frame into the garments' messages; raises ValueError when a result is
+    not finite.
     Raises ValueError for a joint map that cannot be read.
     """
 
@@ -40,6 +41,7 @@ class WornOutfit:
         settings: AvatarSettings,
         loaded: LoadedWear,
         streams: Sequence[GarmentStream],
+        frame_input: FrameInput,
         before: WornOutfit | None,
         *,
         on_unknown: Callable[[list[str]], None],
@@ -65,8 +67,9 @@ class WornOutfit:
             LayerMessages(stream, self.outfit, index, splats=loaded.splats, before=known.get(stream))
             for index, stream in enumerate(streams)
         )
-        self.draped, self._inputs = self.received.copy(), np.zeros((len(streams), 13), dtype=np.float32)
-        self.step = self.outfit.bind_frame(self.draped, self._inputs, [each.points for each in self.garments])
+        as_received = self.separator is None and self.interpolator is None
+        self.draped = self.received if as_received else self.received.copy()
+        self.step = self.outfit.bind_frame(self.draped, frame_input.rows, [each.points for each in self.garments])
 
     @cached_property
     def bone_rotations(self) -> BoneRotationReader:
@@ -82,12 +85,11 @@ class WornOutfit:
         """The pose received last is good: joints that later messages leave out stay in it."""
         self.wire.keep()
 
-    def set_frame(self, positions: np.ndarray, inputs: np.ndarray) -> float | None:
-        """Set what is draped next: joint positions (d,), limbs separated where that is asked for, and rows of frame
-        input (g, 13). Returns how far limbs were moved apart [rad], None without separation."""
-        self._inputs[:] = inputs
-        if self.separator is None:
+    def set_pose(self, positions: np.ndarray) -> float | None:
+        """Set which joint positions (d,) are draped next, limbs separated where that is asked for. Returns how far
+        limbs were moved apart [rad], None without separation."""
+        if self.separator is not None:
+            return self.separator.separate(positions, out=self.draped)[1]
+        if positions is not self.draped:
             self.draped[:] = positions
-            return None
-        _, change = self.separator.separate(positions, out=self.draped)
-        return change
+        return None

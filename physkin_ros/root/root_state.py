@@ -56,6 +56,7 @@ class RootState:
         self, down: Sequence[float] | np.ndarray, frame_input: FrameInput, *, clock: Callable[[], int] = monotonic_ns
     ) -> None:
         self.frame_input, self.fault = frame_input, ""
+        self._gravity = frame_input.rows[:, :3]
         self._clock = clock
         self._directions = LatestByStamp(_float32(down))
         self._motions: FreshByStamp[RootSample | EffectiveGravity] = FreshByStamp()
@@ -144,7 +145,7 @@ class RootState:
         known = self.motion(stamp_ns)
         self._taken = self.direction(stamp_ns) if known is None else known
         self._fill()
-        return self.frame_input.rows[:, :3]
+        return self._gravity
 
     def begin_frame(self, sec: int, nanosec: int, gravity: np.ndarray | None = None) -> None:
         """Begin the frame of a joint state with this stamp; 0 for none: it then stands by itself.
@@ -153,7 +154,7 @@ class RootState:
         """
         if gravity is not None:
             self._fill()
-            self.frame_input.rows[:, :3] = gravity
+            self._gravity[:] = gravity
         self.frame_input.begin_frame(sec + 1e-9 * nanosec if sec or nanosec else None)
 
     def _fill(self) -> None:
