@@ -83,7 +83,8 @@ class GarmentEvaluator {
   void gather_deformer_input() noexcept;
   void weigh() noexcept;  // how gravity pulls in the pose vector
 
-  // Members are built in this order, so that a frame walks the arena from front to back.
+  // Members are built in this order, so that a frame walks the arena from front to back. Between them stands where each
+  // stage ends in it.
   Arena arena_;
   Rig rig_;
   std::size_t rig_end_ = arena_.touched();

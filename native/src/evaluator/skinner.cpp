@@ -26,7 +26,8 @@ Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
     for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
     blocks_into_places_ = blocks_;
     blocks_into_places_.vertex = places;
-    arena.leave_out(lanes * (sizeof(std::int32_t) + 3 * sizeof(float)));  // order and normals of blocks_, likewise
+    // Only a frame in which others move vertices reads the order and normals of blocks_.
+    arena.leave_out(lanes * (sizeof(std::int32_t) + 3 * sizeof(float)));
   }
 }
 
