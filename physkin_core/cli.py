@@ -86,7 +86,7 @@ COMMANDS = {
     },
     "this installation": {
         "doctor": ("physkin_core.doctor.doctor", "check this installation, and tell what to do if something is wrong"),
-        "bench": ("physkin_core.bench", "measure how long a frame and its stages take on this machine"),
+        "bench": ("physkin_core.bench", "measure how long a frame takes on this machine, and count its bytes"),
         "completion": ("", "print the completion script of a shell"),
     },
 }

@@ -246,6 +246,17 @@ void measure_clearance(BoundEvaluator& self, int garment, const WrittenFloats& o
   self.evaluator().measure_clearance(garment, out.data());
 }
 
+nb::dict stage_bytes(BoundEvaluator& self, int garment) {
+  const StageBytes bytes = self.garment(garment).stage_bytes();
+  nb::dict d;
+  d["posing"] = bytes.posing;
+  d["networks"] = bytes.networks;
+  d["composition"] = bytes.composition;
+  d["skinning"] = bytes.skinning;
+  d["normals"] = bytes.normals;
+  return d;
+}
+
 int clearances(BoundEvaluator& self, int garment) { return self.garment(garment).clearances(); }
 
 }  // namespace
@@ -257,6 +268,7 @@ void bind_frame(nb::module_& module) {
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
       .def("detail_offsets", detail_offsets, "garment"_a = 0)
+      .def("stage_bytes", stage_bytes, "garment"_a = 0)
       .def("clearances", clearances, "garment"_a = 0)
       .def("measure_clearance", measure_clearance, "garment"_a, "out"_a.noconvert())
       .def_prop_ro("instruction_set", [](BoundEvaluator& self) { return self.evaluator().instruction_set(); })

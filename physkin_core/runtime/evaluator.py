@@ -146,6 +146,16 @@ class Evaluator:
         self._evaluator.measure_clearance(garment, out)
         return out
 
+    def stage_bytes(self, garment: int = 0) -> dict[str, int]:
+        """Bytes that the last frame of a garment touched, or that a first one will: by stages "posing", "networks",
+        "composition" (garment nodes, pace, contact), "skinning" and "normals".
+
+        All that stages keep in memory, and the rows they write, (n, 6). An array counts once, in the first stage that
+        needs it. What the frame had no need of does not count: the sway network of cloth that did not sway, other
+        fabrics, what contact looks at only where cloth is in the skin. Layers in order touch more.
+        """
+        return self._evaluator.stage_bytes(garment)
+
 
 def drape_poses(
     bound: BoundGarment, poses: Iterable[tuple[np.ndarray, np.ndarray]], *, precision: Precision | None = None

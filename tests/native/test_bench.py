@@ -11,12 +11,13 @@ import pytest
 from random_models import random_detail
 
 from physkin_bench import measurement
-from physkin_bench.__main__ import main
+from physkin_bench.__main__ import main, peer_rows
 from physkin_bench.cases import paper_case, skinning_case
 from physkin_bench.litert_networks import network_case
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, Peer, prepare_peers
+from physkin_core import bench as installed
 from physkin_core import cli
-from physkin_core.bench import STAGES, time_in_turns
+from physkin_core.bench import STAGES, time_cold, time_in_turns
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook" / "benchmark.md"
@@ -35,14 +36,19 @@ def figures(model_path, tmp_path_factory):
 
 
 def test_times_and_errors_are_told(figures):
-    """With their spread, for every stage, precision and instruction set; where they were measured."""
+    """With their spread, for every stage, precision and instruction set, and cold for those that are compared; bytes;
+    where they were measured."""
     levels = supported_instruction_sets()
     names = [f"{p}.{level}.{stage}" for p in PRECISIONS for level in levels for stage in STAGES]
-    names += [f"{name}.{p}" for name in ("cold.frame", "cold.networks") for p in PRECISIONS]
+    compared = [f"{p}.{level}.{stage}" for p in PRECISIONS for level in levels[-1:] for stage in ("frame", "networks")]
+    names += [f"{state}.{name}" for state in ("cold", "emptied") for name in compared]
     names += [f"separate_limbs.{level}" for level in levels]
     for name in names:
         minimum, median, p99 = (figures[f"{name}.us.{figure}"] for figure in ("min", "p50", "p99"))
         assert 0 < minimum <= median <= p99
+    for name in (f"{p}.{level}" for p in PRECISIONS for level in levels):
+        stages = [figures[f"{name}.{stage}.bytes"] for stage in STAGES]
+        assert min(stages) > 0 and sum(stages[:-1]) == stages[-1]
     assert 0 < figures["error.bf16.vertices.mm.max"] < 10
     assert " cores, " in figures["machine"] and f"numpy {np.__version__}" in figures["versions"]
     assert all("not installed" in figures["missing"][f"networks.litert_{kind}"] for kind in ("fp32", "int8"))
@@ -64,12 +70,26 @@ def test_rounds_below_one_are_refused(capsys):
 
 
 def test_what_is_installed_times_this_machine(model_path, tmp_path, capsys):
-    """Its stages in a table, and the same keys in the file."""
+    """First what is used by default, warm, cold and in bytes; then stages in tables. The same keys are in the file."""
     path = tmp_path / "mine.json"
     assert cli.main(["bench", str(model_path), "--rounds", "1", "--json", str(path)]) == 0
     figures, level = json.loads(path.read_text()), supported_instruction_sets()[-1]
-    assert figures["machine"] and figures["model"] == "vest"
-    assert f"| int8 | {level} | {figures[f'int8.{level}.posing.us.p50']:.1f} (" in capsys.readouterr().out
+    first, *lines = capsys.readouterr().out.splitlines()
+    usual = f"int8.{level}.frame"
+    touched = f"{figures[f'{usual}.bytes'] / 1e3:,.0f}"
+    assert figures["model"] == "vest"
+    assert first == f"vest, {figures['vertices']} vertices, a frame touches {touched} KB; {figures['machine']}"
+    rows = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines]
+    frame = next(row for row in rows if row[0] == f"frame, int8 on {level}")
+    drape = next(row for row in rows if row[0] == "the same by `Draper.drape`")
+    for row, name in ((frame, usual), (drape, "drape")):
+        for cell, timed in zip(row[1:], (name, f"cold.{name}"), strict=True):
+            assert cell.split(" (")[0] == f"{figures[f'{timed}.us.p50']:.1f}"
+    stages = next(row for row in rows if row[:2] == ["int8", level])
+    assert stages[2].startswith(f"{figures[f'int8.{level}.posing.us.p50']:.1f} (") and stages[-1].startswith(
+        frame[2][:4]
+    )
+    assert next(row for row in rows if row[0] == "int8" and len(row) == len(STAGES) + 1)[-1] == touched
 
 
 def test_peers_that_fail_or_differ_are_left_out():
@@ -128,3 +148,25 @@ def test_calls_take_turns():
     order.clear()
     time_in_turns(calls, rounds=1, repeats=2, before_each=lambda: order.append("-"))
     assert "".join(order) == "-a-a-b-b"
+
+
+def test_before_a_cold_call_the_program_sleeps(monkeypatch):
+    """As long as a frame at 60 Hz takes, and never within the time of a call."""
+    order = []
+    monkeypatch.setattr(installed, "sleep", lambda seconds: order.append(seconds))
+    timings = time_cold({name: (lambda name=name: order.append(name)) for name in "ab"}, rounds=100)
+    turn = [each for name in "ab" for each in [0.016, name] * 10]
+    assert order == turn * 4 and list(timings) == ["cold.a", "cold.b"]
+
+
+def test_peers_are_compared_with_what_was_measured_alike():
+    """Warm with warm, cold with cold; one whose counterpart was not timed has no row."""
+    level = supported_instruction_sets()[-1]
+    times = {"peers.networks.litert_int8": 30.0, "cold.peers.networks.litert_int8": 200.0}
+    times |= {f"int8.{level}.networks": 20.0, f"cold.int8.{level}.networks": 50.0, "emptied.peers.networks.a_int8": 9.0}
+    figures = {f"{name}.us.{figure}": time for name, time in times.items() for figure in ("min", "p50", "p99")}
+    rows = [(row[0], row[2], row[-1]) for row in peer_rows(figures, list(times))]
+    assert rows == [
+        ("peers.networks.litert_int8", f"int8.{level}.networks", "1.50"),
+        ("cold.peers.networks.litert_int8", f"cold.int8.{level}.networks", "4.00"),
+    ]

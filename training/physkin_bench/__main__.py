@@ -7,10 +7,9 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from physkin_bench.cases import model_case, paper_case
-from physkin_bench.measurement import measure_case
-from physkin_core.bench import command_parser, markdown_table, spread, stage_table
+from physkin_bench.measurement import compared_levels, measure_case
+from physkin_core.bench import byte_table, command_parser, markdown_table, spread, stage_table
 from physkin_core.machine import machine_line, versions_line
-from physkin_core.runtime.evaluator import supported_instruction_sets
 
 __all__ = ["main"]
 
@@ -42,21 +41,30 @@ def case_tables(figures: Mapping[str, object]) -> str:
     """One case; times are µs, median (fastest, 99th percentile)."""
 
     lines = [f"## {figures['model']}: {figures['vertices']} vertices, {figures['network_weights']} network weights", ""]
-    lines.append(stage_table(figures))
+    lines += [stage_table(figures), byte_table(figures)]
 
     timed = [key.removesuffix(".us.p50") for key in figures if key.endswith(".us.p50")]
-    others = [name for name in timed if name.split(".")[0] in ("separate_limbs", "cold")]
+    others = [name for name in timed if name.startswith(("separate_limbs.", "emptied.")) and ".peers." not in name]
     lines.append(markdown_table(["", "µs"], [[name, spread(figures, name)] for name in others]))
-    rows = []
-    for name in (name for name in timed if name.startswith("peers.")):
-        ours = f"{'int8' if name.endswith('int8') else 'fp32'}.{supported_instruction_sets()[-1]}"
-        stages = ["networks"] if ".networks." in name else ["skinning", "normals"]
-        times = figures[f"{name}.us.p50"] / sum(figures[f"{ours}.{stage}.us.p50"] for stage in stages)
-        rows.append([name, spread(figures, name), f"{ours}.{' + '.join(stages)}", f"{times:.2f}"])
-    lines.append(markdown_table(["peer", "µs", "ours", "times as fast"], rows))
+    lines.append(markdown_table(["peer", "µs", "ours", "µs", "times as fast"], peer_rows(figures, timed)))
     errors = [key for key in figures if key.startswith("error.")]
     lines.append(markdown_table(["error", "mm"], [[key, f"{figures[key]:.3g}"] for key in errors]))
     return "\n".join(lines + [f"missing: {name}: {reason}" for name, reason in figures["missing"].items()])
+
+
+def peer_rows(figures: Mapping[str, object], timed: Sequence[str]) -> list[list[str]]:
+    """Of every peer, warm, cold and with emptied caches: its time, ours that were measured alike, and their ratio."""
+    rows = []
+    for name in (name for name in timed if "peers." in name):
+        before, kind = name[: name.index("peers.")], name.split(".")[-2]
+        stages = ["networks"] if kind == "networks" else ["skinning", "normals"]
+        for level in compared_levels():
+            ours = f"{before}{'int8' if name.endswith('int8') else 'fp32'}.{level}."
+            if all(ours + stage in timed for stage in stages):
+                took = sum(figures[f"{ours}{stage}.us.p50"] for stage in stages)
+                times = figures[f"{name}.us.p50"] / took
+                rows.append([name, spread(figures, name), ours + " + ".join(stages), f"{took:.1f}", f"{times:.2f}"])
+    return rows
 
 
 if __name__ == "__main__":

@@ -10,15 +10,21 @@ import numpy as np
 from physkin_bench.cases import BenchmarkCase, skinning_case
 from physkin_bench.litert_networks import network_case, weight_count
 from physkin_bench.peers import NETWORK_PEERS, SKINNING_PEERS, prepare_peers
-from physkin_core.bench import STAGES, stage_frames, time_in_turns, timing_keys
+from physkin_core.bench import STAGES, stage_bytes, stage_frames, time_cold, time_in_turns, timing_keys
 from physkin_core.native_module import native
 from physkin_core.runtime.evaluator import PRECISIONS, Evaluator, supported_instruction_sets
 from physkin_core.separation.limb_separator import SeparationSettings
 
-__all__ = ["measure_case"]
+__all__ = ["compared_levels", "measure_case"]
 
-COLD_ROUNDS = 30
-"""Most turns with cold caches, which take long."""
+EMPTIED_ROUNDS = 30
+"""Most turns with emptied caches, which take long."""
+
+
+def compared_levels() -> list[str]:
+    """AVX2 and the widest instruction set: they are timed cold, and compared with peers, which choose by themselves."""
+    levels = supported_instruction_sets()
+    return [level for level in levels if level in ("v3", levels[-1])]
 
 
 def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
@@ -29,7 +35,7 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
     middle = len(case.joint_positions) // 2
     bound, pose, inputs = case.bound, case.joint_positions[middle].copy(), case.inputs[middle].copy()
     found, levels = stage_frames(bound, pose, inputs), supported_instruction_sets()
-    evaluators, steps = ({p: found[f"{p}.{levels[-1]}"][k] for p in PRECISIONS} for k in (0, 1))
+    evaluators = {p: found[f"{p}.{levels[-1]}"][0] for p in PRECISIONS}
     calls = {f"{name}.{stage}": getattr(found[name][1], method) for name in found for stage, method in STAGES.items()}
     if case.limbs is not None:
         shape, arms_down = case.limbs
@@ -44,17 +50,19 @@ def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
         calls |= {f"peers.{kind}.{name}": call for name, call in built.items()}
         missing |= {f"{kind}.{name}": reason for name, reason in left_out.items()}
     timings = time_in_turns(calls, rounds=rounds)
-    cold = {
-        f"cold.{stage}.{p}": getattr(steps[p], STAGES[stage]) for stage in ("frame", "networks") for p in PRECISIONS
-    }
-    cold |= {f"cold.{name}": call for name, call in calls.items() if name.startswith("peers.networks.litert")}
+    names = [name for name in calls if name.startswith("peers.networks.")]
+    names += [
+        f"{p}.{level}.{stage}" for p in PRECISIONS for level in compared_levels() for stage in ("networks", "frame")
+    ]
+    timings |= time_cold({name: calls[name] for name in names}, rounds=rounds)
     filler = np.zeros(128 << 17)  # four times what last-level caches usually hold for a core
     flush = partial(np.add, filler, 1, out=filler)
-    timings |= time_in_turns(cold, rounds=min(rounds, COLD_ROUNDS), repeats=1, before_each=flush)
+    emptied = {f"emptied.{name}": calls[name] for name in names}
+    timings |= time_in_turns(emptied, rounds=min(rounds, EMPTIED_ROUNDS), repeats=1, before_each=flush)
 
     figures: dict[str, object] = {"model": case.name, "vertices": len(bound.vertices)}
     figures |= {"detail_nodes": len(skinning.detail_offsets), "network_weights": weight_count(bound)}
-    figures |= timing_keys(timings)
+    figures |= timing_keys(timings) | stage_bytes(found)
     for precision in ("bf16", "int8"):
         errors = _errors(case, evaluators["fp32"], evaluators[precision])
         figures |= {f"error.{precision}.vertices.mm.{name}": value for name, value in errors.items()}

@@ -138,7 +138,7 @@ void Contact::find_samples_around(Arena& arena) {
 
 const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, const float* offsets) noexcept {
   place(node_transforms, offsets);
-  near_count_ = 0;
+  near_count_ = blocks_between_ = 0;
   for (int first = 0; first < samples_; first += kBlock) {
     look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
   }
@@ -179,6 +179,19 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
     read(meet(skin, between_columns_, block_of_[first / kBlock]), samples_ + first,
          samples_ + std::min(first + kBlock, between_));
   }
+}
+
+std::size_t Contact::untouched() const noexcept {
+  const std::size_t between = std::size_t(std::max(between_ - kBlock * blocks_between_, 0));
+  const std::size_t each = std::size_t(detail_nodes_.each) * (sizeof(std::int32_t) + sizeof(float)) + 2 * sizeof(float);
+  std::size_t bytes = between * each + std::size_t(measured() - near_count_) * sizeof(Near);
+  if (near_count_ == 0) {
+    for (const Movers* movers : {&garment_nodes_, &detail_nodes_}) {
+      bytes += std::size_t(movers->count) * (sizeof(float) + 2 * sizeof(Four));
+    }
+  }
+  if (blocks_between_ == 0) bytes += 2 * std::size_t(samples_) * sizeof(Four);
+  return bytes;
 }
 
 void Contact::place(const float* node_transforms, const float* offsets) noexcept {
@@ -267,6 +280,7 @@ void Contact::look_between(const SkinBlocks& skin) noexcept {
     for (int at = around_start_[block]; at < around_start_[block + 1]; ++at) most = std::max(most, lacks_[around_[at]]);
     if (!(most > kLooks)) continue;
     place_between(block);
+    ++blocks_between_;
     look_up(skin, between_columns_, block_of_[block], samples_ + first, samples_ + std::min(first + kBlock, between_),
             std::min(most / kLooks - 1, 1.0f));
   }

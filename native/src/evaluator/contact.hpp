@@ -29,6 +29,8 @@ class Contact {
   // How far samples, and those between them, are from the skin, (samples + between,) [m]; kNoSkin where none is near.
   void measure(const SkinBlocks& skin, const float* node_transforms, const float* offsets, float* clearance) noexcept;
   int measured() const { return samples_ + between_; }
+  // Bytes of tables that the last frame had no need of: of vertices between samples, and of what is listed and moved.
+  std::size_t untouched() const noexcept;
 
   static constexpr float kNoSkin = 1.0f;
   // [m] Cloth is moved by what it lacks, from this much before it must, so that it begins without a kink.
@@ -96,12 +98,12 @@ class Contact {
   ContactRoom room_;
   const float* hangs_;  // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
-  const std::int32_t* sample_of_;  // (detail nodes,) the one that goes with each most
-  float* lacks_;                   // (samples,) [m]
-  Four* posed_;                    // (samples, 2) where they are, and their normals
-  Near* near_;                     // near_count_ of them
-  int near_count_ = 0;
-  float* offsets_;  // (detail nodes, 3)
+  const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
+  float* lacks_;                             // (samples,) [m]
+  Four* posed_;                              // (samples, 2) where they are, and their normals
+  Near* near_;                               // near_count_ of them
+  int near_count_ = 0, blocks_between_ = 0;  // of them, and of blocks that the last frame has looked at between samples
+  float* offsets_;                           // (detail nodes, 3)
 };
 
 }  // namespace physkin

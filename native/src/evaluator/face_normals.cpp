@@ -87,6 +87,7 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
     start.push_back(std::int32_t(neighbours.size() / kRingGroup));
   }
   place_of_ = arena.copy(place_of.data(), place_of.size());
+  arena.leave_out(place_of.size() * sizeof(std::int32_t));  // only a frame in which others move vertices reads it
   rings_.group_count = int(order.size() / kRingGroup);
   rings_.vertex = arena.copy(order.data(), order.size());
   rings_.start = arena.copy(start.data(), start.size());

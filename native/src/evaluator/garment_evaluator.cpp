@@ -19,9 +19,11 @@ bool jumps_to(const float* values, int count, float* last) {
 // vector, a fiftieth, is the next: of the skirt it makes the largest errors.
 Precision of_first_layers(Precision precision) { return precision == Precision::int8 ? Precision::bf16 : precision; }
 
-// (count, width) in rows of so much room.
+// (count, width) in rows of so much room, one a fabric: not counted, since a frame reads one of them at most.
 const float* padded_rows(const float* values, int count, int width, std::size_t room, Arena& arena) {
+  const std::size_t before = arena.touched();
   auto* rows = arena.take<float>(std::size_t(count) * room);
+  arena.leave_out(arena.touched() - before);
   for (int k = 0; k < count; ++k) std::copy_n(values + std::ptrdiff_t(k) * width, width, rows + std::size_t(k) * room);
   return rows;
 }
@@ -52,7 +54,8 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
                                                       other_pose_modulator_->modulation_room(), arena_)
                                         : nullptr),
       fabric_weights_(arena_.copy(g.fabric_weights, g.fabrics)),
-      fabric_sway_shifts_(arena_.copy(g.fabric_sway_shifts, std::size_t(g.fabrics) * std::size_t(g.fabric_sway))),
+      fabric_sway_shifts_(
+          padded_rows(g.fabric_sway_shifts, g.fabrics, g.fabric_sway, std::size_t(g.fabric_sway), arena_)),
       fabric_sway_(g.fabric_sway),
       node_deformer_(g.deformer_layers, of_first_layers(precision), precision, kernels, arena_),
       detail_(detail_network(g, precision, kernels, arena_)),
@@ -87,6 +90,17 @@ Rejection GarmentEvaluator::check_nodes() noexcept {
   const Rejection bad = skinner_.check(node_transforms_);
   if (bad) forget();
   return bad;
+}
+
+StageBytes GarmentEvaluator::stage_bytes() const {
+  const std::size_t rows = 6 * sizeof(float) * std::size_t(vertex_count());
+  StageBytes bytes{rig_end_ + arena_.touched() - skinner_end_, still_end_ - rig_end_, nodes_end_ - networks_end_,
+                   skinner_end_ - nodes_end_ - skinner_.normals_bytes(), skinner_.normals_bytes()};
+  if (fabric_ >= 0) bytes.networks += sizeof(float) * pose_modulator_.modulation_room();
+  if (learnt_sway_ && learnt_sway_->sways()) bytes.networks += networks_end_ - still_end_;
+  if (contact_) bytes.composition -= contact_->untouched();
+  (skinner_.has_face_normals() ? bytes.normals : bytes.skinning) += rows;
+  return bytes;
 }
 
 void GarmentEvaluator::forget() noexcept {

@@ -22,6 +22,12 @@ namespace physkin {
 // [rad], and of gravity: where a frame differs from the last one by more, that one does not count.
 constexpr float kJump = 0.5f;
 
+// Bytes that the last frame of a garment by itself touched, or where there was none, that a first one will. An array
+// counts once, in the first stage that needs it; what it holds for other frames does not count.
+struct StageBytes {
+  std::size_t posing, networks, composition, skinning, normals;
+};
+
 class GarmentEvaluator {
  public:
   // Validates and copies the garment; throws std::invalid_argument. precision: of network weights.
@@ -69,27 +75,35 @@ class GarmentEvaluator {
   int nodes() const { return garment_nodes_.count(); }
   int detail_nodes() const { return skinner_.detail_nodes(); }
   int vertex_count() const { return skinner_.vertex_count(); }
+  // Rows of the garment, with normals, included.
+  StageBytes stage_bytes() const;
 
  private:
   void forget() noexcept;  // all that was before
   void gather_deformer_input() noexcept;
   void weigh() noexcept;  // how gravity pulls in the pose vector
 
-  // Members are built in this order, so that a frame walks the arena from front to back.
+  // Members are built in this order, so that a frame walks the arena from front to back. Between them stands where each
+  // stage ends in it.
   Arena arena_;
   Rig rig_;
+  std::size_t rig_end_ = arena_.touched();
   Mlp pose_modulator_;
   std::optional<Mlp> other_pose_modulator_;  // of other fabrics
   const float *fabric_modulations_, *fabric_weights_, *fabric_sway_shifts_;
   int fabric_sway_, fabric_ = -1;
   Mlp node_deformer_;
   std::optional<Mlp> detail_;  // from the node deformer's last hidden layer to offsets of detail nodes
+  std::size_t still_end_ = arena_.touched();
   std::optional<LearntSway> learnt_sway_;
+  std::size_t networks_end_ = arena_.touched();
   GarmentNodes garment_nodes_;
   Pace pace_;
   std::optional<SkinSurface> skin_;
   std::optional<Contact> contact_;
+  std::size_t nodes_end_ = arena_.touched();
   Skinner skinner_;
+  std::size_t skinner_end_ = arena_.touched();
   int bone_count_, deformer_bone_count_;
   const std::int32_t* deformer_bones_;
   float* pose_;

@@ -39,6 +39,8 @@ class LearntSway {
 
   // The next frame is the first one.
   void forget() noexcept { begins_ = true; }
+  // Whether the last frame swayed.
+  bool sways() const { return !begins_; }
 
   // The node deformer's corrections with what sways added, as much as the input says; valid until the next call.
   // positions (dofs) in radians, and what bones make of them. Gravity is effective gravity as it is given, of any length.

@@ -19,11 +19,15 @@ Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
       node_rest_(arena.copy(data.node_rest, 3 * std::size_t(data.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {
   if (data.face_count > 0) {
+    const std::size_t before = arena.touched(), lanes = std::size_t(blocks_.block_count) * kBlock;
     face_normals_.emplace(data, kernels, arena);
-    auto* places = arena.take<std::int32_t>(std::size_t(blocks_.block_count) * kBlock);
+    normals_bytes_ = arena.touched() - before;
+    auto* places = arena.take<std::int32_t>(lanes);
     for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
     blocks_into_places_ = blocks_;
     blocks_into_places_.vertex = places;
+    // Only a frame in which others move vertices reads the order and normals of blocks_.
+    arena.leave_out(lanes * (sizeof(std::int32_t) + 3 * sizeof(float)));
   }
 }
 

@@ -42,6 +42,9 @@ class Skinner {
   int nodes() const { return nodes_; }
   int detail_nodes() const { return detail_nodes_; }  // 0 without detail
   int vertex_count() const { return blocks_.vertex_count; }
+  bool has_face_normals() const { return face_normals_.has_value(); }
+  // Of the arena, bytes that `compute_normals` touches.
+  std::size_t normals_bytes() const { return normals_bytes_; }
 
  private:
   const Kernels& kernels_;
@@ -50,7 +53,8 @@ class Skinner {
   std::optional<FaceNormals> face_normals_;
   SkinningBlocks blocks_into_places_;  // the same, with vertices in the order of these normals' places
   const float* node_rest_;             // (nodes, 3)
-  float* matrices_;                    // (nodes, 3, 4): chi_i * inverse of the node's rest transform
+  std::size_t normals_bytes_ = 0;
+  float* matrices_;  // (nodes, 3, 4): chi_i * inverse of the node's rest transform
 };
 
 }  // namespace physkin

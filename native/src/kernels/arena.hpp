@@ -38,6 +38,7 @@ class Arena {
     std::fill_n(start, bytes, std::byte{});
     next_ += bytes;
     remaining_ -= bytes;
+    touched_ += bytes;
     return reinterpret_cast<T*>(start);
   }
 
@@ -47,6 +48,10 @@ class Arena {
     if (count > 0) std::memcpy(target, source, count * sizeof(T));
     return target;
   }
+
+  // Bytes of what was taken that a frame may touch: all but what was left out.
+  std::size_t touched() const noexcept { return touched_; }
+  void leave_out(std::size_t bytes) noexcept { touched_ -= bytes; }
 
  private:
   static constexpr std::size_t kHugePage = std::size_t{2} << 20, kChunk = 4 * kHugePage;
@@ -71,7 +76,7 @@ class Arena {
   };
   std::vector<std::unique_ptr<std::byte, Free>> chunks_;
   std::byte* next_ = nullptr;
-  std::size_t remaining_ = 0;
+  std::size_t remaining_ = 0, touched_ = 0;
 };
 
 }  // namespace physkin
