@@ -6,33 +6,25 @@
 namespace physkin {
 namespace {
 
-// Vertices that each vertex has an edge to: those of `v` from starts[v] on.
-struct Neighbours {
-  explicit Neighbours(const SkinningData& g) : starts(std::size_t(g.vertex_count) + 1), of(6 * std::size_t(g.face_count)) {
-    const std::size_t corners = 3 * std::size_t(g.face_count);
-    for (std::size_t at = 0; at < corners; ++at) starts[std::size_t(g.faces[at]) + 1] += 2;
-    for (std::size_t v = 1; v < starts.size(); ++v) starts[v] += starts[v - 1];
-    std::vector<std::int32_t> next(starts.begin(), starts.end() - 1);
-    for (std::size_t at = 0; at < corners; ++at) {
-      for (std::size_t k = 1; k < 3; ++k) {
-        of[std::size_t(next[std::size_t(g.faces[at])]++)] = g.faces[at / 3 * 3 + (at + k) % 3];
-      }
-    }
-  }
-  std::vector<std::int32_t> starts, of;
-};
+// A vertex joins nodes whose skinning weights there are more than this.
+constexpr float kJoins = 0.2f;
 
-// Steps from a vertex to each; to those that no edges lead to, one more than to the farthest.
-std::vector<int> steps_from(int vertex, const Neighbours& neighbours) {
-  std::vector<int> steps(neighbours.starts.size() - 1, -1), queue{vertex};
-  steps[std::size_t(vertex)] = 0;
+// Steps from a garment node to each, from node to node that have a vertex in common; to those that none leads to, one more
+// than to the farthest.
+std::vector<int> steps_from(int node, const SkinningData& g, const std::vector<std::vector<std::int32_t>>& vertices) {
+  std::vector<int> steps(vertices.size(), -1), queue{node};
+  std::vector<bool> seen(std::size_t(g.vertex_count));
+  steps[std::size_t(node)] = 0;
   for (std::size_t k = 0; k < queue.size(); ++k) {
-    const auto from = std::size_t(queue[k]);
-    for (auto at = neighbours.starts[from]; at < neighbours.starts[from + 1]; ++at) {
-      const std::int32_t to = neighbours.of[std::size_t(at)];
-      if (steps[std::size_t(to)] >= 0) continue;
-      steps[std::size_t(to)] = steps[from] + 1;
-      queue.push_back(to);
+    for (const std::int32_t vertex : vertices[std::size_t(queue[k])]) {
+      if (seen[std::size_t(vertex)]) continue;
+      seen[std::size_t(vertex)] = true;
+      for (int at = vertex * g.influences; at < (vertex + 1) * g.influences; ++at) {
+        const std::int32_t to = g.influence_nodes[at];
+        if (!(g.influence_weights[at] > kJoins) || steps[std::size_t(to)] >= 0) continue;
+        steps[std::size_t(to)] = steps[std::size_t(queue[k])] + 1;
+        queue.push_back(to);
+      }
     }
   }
   std::replace(steps.begin(), steps.end(), -1, steps[std::size_t(queue.back())] + 1);
@@ -63,17 +55,21 @@ std::vector<std::uint32_t> curve_positions(const float* points, int count) {
 }
 
 std::vector<std::uint32_t> curve_positions(const SkinningData& g) {
-  if (g.face_count <= 0) return curve_positions(g.vertices, g.vertex_count);
-  const Neighbours neighbours(g);
+  std::vector<std::vector<std::int32_t>> vertices(std::size_t(g.nodes));
+  const int influences = g.vertex_count * g.influences;
+  for (int at = 0; at < influences; ++at) {
+    if (g.influence_weights[at] > kJoins) vertices[std::size_t(g.influence_nodes[at])].push_back(at / g.influences);
+  }
   std::vector<float> places(3 * std::size_t(g.vertex_count));
-  std::vector<int> nearest(std::size_t(g.vertex_count), std::numeric_limits<int>::max());
+  std::vector<int> nearest(vertices.size(), std::numeric_limits<int>::max());
   int start = 0;
-  for (int c = -1; c < 3; ++c) {  // the first only leads to a vertex at an end
-    const std::vector<int> steps = steps_from(start, neighbours);
-    for (std::size_t v = 0; v < steps.size(); ++v) {
-      if (c >= 0) places[3 * v + std::size_t(c)] = float(steps[v]);
-      nearest[v] = c > 0 ? std::min(nearest[v], steps[v]) : steps[v];
+  for (int c = -1; c < 3; ++c) {  // the first only leads to a node at an end
+    const std::vector<int> steps = steps_from(start, g, vertices);
+    for (int at = 0; c >= 0 && at < influences; ++at) {
+      places[std::size_t(3 * (at / g.influences) + c)] +=
+          g.influence_weights[at] * float(steps[std::size_t(g.influence_nodes[at])]);
     }
+    for (std::size_t k = 0; k < steps.size(); ++k) nearest[k] = c > 0 ? std::min(nearest[k], steps[k]) : steps[k];
     start = int(std::max_element(nearest.begin(), nearest.end()) - nearest.begin());
   }
   return curve_positions(places.data(), g.vertex_count);

@@ -12,8 +12,8 @@ namespace physkin {
 // coordinates in turn.
 std::vector<std::uint32_t> curve_positions(const float* points, int count);
 
-// The same of a garment's vertices, by steps along its edges from vertices that lie far from each other, so that it is the
-// same on all bodies; of points without faces, by where they are.
+// The same of a garment's vertices, by the garment nodes that they go with: by steps from node to node, from nodes that are
+// far from each other. So it is the same on all bodies.
 std::vector<std::uint32_t> curve_positions(const SkinningData& garment);
 
 }  // namespace physkin

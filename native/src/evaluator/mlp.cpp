@@ -14,8 +14,7 @@ PackedLayer pack_once(const DenseWeights& layer, Precision precision, const Pack
   digest.add(precision).add(layout.panel).add(layout.int8.inputs).add(layout.int8.added).add(layer.outputs);
   digest.add(layer.matrix, std::size_t(layer.outputs) * std::size_t(layer.inputs));
   if (!layer.is_projection()) digest.add(layer.bias, std::size_t(layer.outputs));
-  return shared_in<PackedLayer>(arena, digest,
-                                [&](Arena& own) { return pack_layer(layer, precision, layout, own); });
+  return shared_in<PackedLayer>(arena, digest, [&](Arena& own) { return pack_layer(layer, precision, layout, own); });
 }
 
 }  // namespace

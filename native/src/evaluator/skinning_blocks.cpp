@@ -152,8 +152,7 @@ class BlockChooser {
 
 std::vector<Block> choose_blocks(const SkinningData& g) {
   const std::vector<NodeSet> sets = influence_sets(g);
-  BlockChooser chooser(sets, curve_positions(g), g.nodes,
-                       g.has_detail() ? g.detail_numbers / 3 : 0);
+  BlockChooser chooser(sets, curve_positions(g), g.nodes, g.has_detail() ? g.detail_numbers / 3 : 0);
   std::vector<Block> blocks;
   while (!chooser.done()) blocks.push_back(chooser.choose());
   if (blocks.empty()) return blocks;
@@ -267,10 +266,9 @@ SkinningBlocks pack_influences(const SkinningData& g, BlockOrder wanted, Arena& 
 SkinningBlocks pack_influences_once(const SkinningData& g, Arena& arena) {
   const auto vertices = std::size_t(g.vertex_count);
   Digest digest;
-  digest.add(g.nodes).add(g.vertex_count).add(g.influences).add(g.faces, 3 * std::size_t(g.face_count));
+  digest.add(g.nodes).add(g.vertex_count).add(g.influences);
   digest.add(g.influence_nodes, vertices * std::size_t(g.influences));
   digest.add(g.influence_weights, vertices * std::size_t(g.influences));
-  if (g.face_count == 0) digest.add(g.vertices, 3 * vertices);
   if (g.has_detail()) {
     digest.add(g.detail_influences).add(g.detail_numbers);
     digest.add(g.detail_nodes, vertices * std::size_t(g.detail_influences));
