@@ -87,7 +87,11 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
             model = _kept((*kept, ""), lambda: _read_model(path, read_bytes(path)))
     if not fabric:
         return model
-    return with_fabric(model, fabric) if content is not None else _kept((*kept, fabric), lambda: with_fabric(model, fabric))
+    return (
+        with_fabric(model, fabric)
+        if content is not None
+        else _kept((*kept, fabric), lambda: with_fabric(model, fabric))
+    )
 
 
 def _kept(key: tuple[object, ...], make: Callable[[], GarmentModel]) -> GarmentModel:
