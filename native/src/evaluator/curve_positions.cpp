@@ -9,8 +9,8 @@ namespace {
 // A vertex joins nodes whose skinning weights there are more than this.
 constexpr float kJoins = 0.2f;
 
-// Steps from a garment node to each, from node to node that have a vertex in common; to those that none leads to, one more
-// than to the farthest.
+// Steps from a garment node to each, from node to node that have a vertex in common; to those that none leads to, one
+// more than to the farthest.
 std::vector<int> steps_from(int node, const SkinningData& g, const std::vector<std::vector<std::int32_t>>& vertices) {
   std::vector<int> steps(vertices.size(), -1), queue{node};
   std::vector<bool> seen(std::size_t(g.vertex_count));

@@ -12,8 +12,8 @@ namespace physkin {
 // coordinates in turn.
 std::vector<std::uint32_t> curve_positions(const float* points, int count);
 
-// The same of a garment's vertices, by the garment nodes that they go with: by steps from node to node, from nodes that are
-// far from each other. So it is the same on all bodies.
+// The same of a garment's vertices, by the garment nodes that they go with: by steps from node to node, from nodes that
+// are far from each other. So it is the same on all bodies.
 std::vector<std::uint32_t> curve_positions(const SkinningData& garment);
 
 }  // namespace physkin

@@ -1,5 +1,5 @@
-// What evaluators of a process have in common, such as the network weights of one garment model on many bodies: made once,
-// and there as long as one of them is.
+// What evaluators of a process have in common, such as the network weights of one garment model on many bodies: made
+// once, and there as long as one of them is.
 #pragma once
 
 #include <array>

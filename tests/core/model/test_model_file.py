@@ -346,7 +346,7 @@ def test_network_weights_beyond_half_precision_are_refused_on_saving(tmp_path):
 
 
 def test_a_model_in_use_is_not_read_again(tmp_path):
-    """Nor is its fabric put on again. A file that was written anew is another model, and so is one whose content is given."""
+    """Nor is its fabric put on again. A file written anew is another model; so is one whose content is given."""
     path = tmp_path / "tiny.safetensors"
     save_garment_model(tiny(), path)
     model, red = load_garment_model(path), load_garment_model(f"{path}:red")

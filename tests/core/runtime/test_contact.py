@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
 from physkin_core.model.garment import vertex_normals
+from physkin_core.native_module import native
 from physkin_core.quality import closest_points, edge_strain, signed_distance
 from physkin_core.runtime.binding import bind_points
 from physkin_core.runtime.contact import _spread as spread
@@ -344,7 +345,7 @@ def test_mirrored_poses_give_mirrored_drapes(frame, tshirt):
 
 
 def test_points_of_the_skin_are_each_the_farthest_from_those_before():
-    """As where all are looked at every time; also where there are fewer than one cell holds, and where points coincide."""
+    """As where all are looked at every time; also of few points, and where points coincide."""
     rng = np.random.default_rng(0)
     for count, wanted in ((3000, 400), (65, 65), (7, 5)):
         points = rng.normal(size=(count, 6))
@@ -353,4 +354,6 @@ def test_points_of_the_skin_are_each_the_farthest_from_those_before():
             distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
             chosen.append(int(distance.argmax()))
         assert spread(points, wanted).tolist() == chosen
-    assert spread(np.zeros((70, 3)), 3).tolist() == [0, 0, 0]
+    assert spread(np.zeros((70, 3)), 3)[0] == 0
+    with pytest.raises(ValueError, match="more points are to be chosen"):
+        native.spread_points(np.zeros((2, 3)), np.zeros(3, dtype=np.int32))
