@@ -80,9 +80,9 @@ def test_what_is_shared_outlives_the_evaluator_that_made_it(make_garment):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc/self/statm")
 def test_another_body_takes_a_fraction_of_the_memory():
-    """Measured in a process of its own. Other bodies have rest shapes of their own, the megabytes of network weights are
-    the same: a third of the first evaluator's memory leaves room for the pages of what is built meanwhile. What is
-    given back is used again: thirty more in turn take no more than three at once would."""
+    """Measured in a process of its own. Other bodies have rest shapes of their own, the network weights are the same: a
+    third of the first evaluator's memory leaves room for the pages of what is built meanwhile. What is given back is
+    used again: thirty more in turn take no more than three at once would."""
     here = Path(__file__).parent
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (here, here.parent)))}
     run = subprocess.run([sys.executable, "-c", MEASURED], env=paths, check=True, capture_output=True, text=True)
