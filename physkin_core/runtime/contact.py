@@ -185,7 +185,7 @@ def _in_blocks(points: np.ndarray, size: int) -> np.ndarray:
         if len(chosen) <= size:
             return [chosen]
         at = points[chosen]
-        ordered = chosen[at[:, np.ptp(at, axis=0).argmax()].argsort(kind="stable")]
+        ordered = chosen[at[:, (at.max(axis=0) - at.min(axis=0)).argmax()].argsort(kind="stable")]
         half = (len(ordered) // 2 + size - 1) // size * size
         return [*halved(ordered[:half]), *halved(ordered[half:])]
 
