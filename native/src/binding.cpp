@@ -2,6 +2,7 @@
 #include "bindings.hpp"
 #include "evaluator/body_encoder.hpp"
 #include "evaluator/skinner.hpp"
+#include "garment/spread_points.hpp"
 #include "outfit/evaluator.hpp"
 #include "python_arrays.hpp"
 #include "separation/limb_separator.hpp"
@@ -56,6 +57,15 @@ void encode(const nb::dict& network, nb::handle points, nb::handle normals, cons
   const Kernels& kernels = select_kernels(instruction_set.value_or(""));
   const nb::gil_scoped_release release;
   encode_body(encoder, kernels, at, normal, shape[0], out.data());
+}
+
+using Points = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Indices = nb::ndarray<std::int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+void spread(const Points& points, const Indices& chosen) {
+  if (points.shape(0) < chosen.shape(0)) throw std::invalid_argument("more points are to be chosen than there are");
+  const nb::gil_scoped_release release;
+  spread_points(points.data(), int(points.shape(0)), int(points.shape(1)), chosen.data(), int(chosen.shape(0)));
 }
 
 using TransformArray = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
@@ -135,6 +145,7 @@ NB_MODULE(_native, module) {
            "detail_offsets"_a.noconvert());
   module.def("encode_body", &physkin::encode, "network"_a, "points"_a, "normals"_a, "out"_a.noconvert(),
              "instruction_set"_a = nb::none());
+  module.def("spread_points", physkin::spread, "points"_a.noconvert(), "chosen"_a.noconvert());
   module.def("bound_garment_fields", physkin::described_fields);
   module.attr("constants") = physkin::constants();
   module.def("supported_instruction_sets", physkin::supported_instruction_sets);

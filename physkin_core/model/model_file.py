@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -47,6 +48,8 @@ TEXTS = ("rig", "material", "training", "scores")
 """Plain data in JSON, in tensors of bytes NAME.json."""
 MODEL_SUFFIX = ".safetensors"
 MODELS_PATH = Path(__file__).parents[1] / "assets" / "models"
+_in_use: WeakValueDictionary[tuple[object, ...], GarmentModel] = WeakValueDictionary()
+"""Models that somebody uses, by the file as it was when it was read (path, inode, time, size), and fabric."""
 
 
 class ModelFileError(ValueError):
@@ -54,7 +57,7 @@ class ModelFileError(ValueError):
 
 
 def load_garment_model(path: str | Path, *, content: bytes | None = None) -> GarmentModel:
-    """Read a garment model and check it.
+    """Read a garment model and check it. A file that is read again while its model is in use gives the same object.
 
     Args:
         path: the name of an included garment ("tshirt"), or a file. A fabric and a colour may follow: "skirt:denim",
@@ -76,15 +79,26 @@ def load_garment_model(path: str | Path, *, content: bytes | None = None) -> Gar
     file, fabric = split_fabric(path)
     path = _resolve(file)
     with reading(f"garment model {path}", ModelFileError):
-        metadata, tensors = _contents(path, read_bytes(path) if content is None else content)
-        version = int(metadata["schema_version"])
-        if version != SCHEMA_VERSION:
-            remedy = "train it anew" if version < SCHEMA_VERSION else "update PhySkin"
-            raise ModelFileError(
-                f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
-            )
-        model = _model(path, metadata, tensors)
-    return with_fabric(model, fabric) if fabric else model
+        if content is not None:
+            model = _read_model(path, content)
+        else:
+            state = path.stat()
+            kept = path.absolute(), state.st_ino, state.st_mtime_ns, state.st_size
+            model = _kept((*kept, ""), lambda: _read_model(path, read_bytes(path)))
+    if not fabric:
+        return model
+    return (
+        with_fabric(model, fabric)
+        if content is not None
+        else _kept((*kept, fabric), lambda: with_fabric(model, fabric))
+    )
+
+
+def _kept(key: tuple[object, ...], make: Callable[[], GarmentModel]) -> GarmentModel:
+    model = _in_use.get(key)
+    if model is None:
+        model = _in_use[key] = make()
+    return model
 
 
 def model_content(path: str | Path) -> bytes:
@@ -93,6 +107,17 @@ def model_content(path: str | Path) -> bytes:
     file = _resolve(split_fabric(path)[0])
     with reading(f"garment model {file}", ModelFileError):
         return read_bytes(file)
+
+
+def _read_model(path: Path, content: bytes) -> GarmentModel:
+    metadata, tensors = _contents(path, content)
+    version = int(metadata["schema_version"])
+    if version != SCHEMA_VERSION:
+        remedy = "train it anew" if version < SCHEMA_VERSION else "update PhySkin"
+        raise ModelFileError(
+            f"garment model {path} has schema version {version}, this release reads {SCHEMA_VERSION}; {remedy}"
+        )
+    return _model(path, metadata, tensors)
 
 
 def split_fabric(name: str | Path) -> tuple[str, str]:

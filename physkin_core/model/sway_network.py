@@ -10,6 +10,7 @@ Dimensions: `j` joints, `c` body code, `M` modulation of the pose modulator, `h`
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -58,6 +59,12 @@ class SwayNetwork:
     last: Layer = described("last", Linear("l", "r"))
     out: Layer = described("out", Linear("12m", "l"))
 
+    @cached_property
+    def drive_and_gate(self) -> Layer:
+        """Both, which read the same, as one layer: the same arrays for all bodies."""
+        (drive, drive_bias), (gate, gate_bias) = self.drive, self.gate
+        return as_float32(np.concatenate([drive, gate])), as_float32(np.concatenate([drive_bias, gate_bias]))
+
     def body_code(self, modulation: np.ndarray) -> np.ndarray:
         """(c,) float64 of the modulation (M,) that the hyper modulator gives for a body."""
         code = self.code_directions.astype(np.float64) @ (modulation - self.code_mean.astype(np.float64))
@@ -73,13 +80,12 @@ def shifts_of_body(network: SwayNetwork, modulation: np.ndarray) -> tuple[np.nda
 def fold_body(network: SwayNetwork, modulation: np.ndarray) -> dict[str, object]:
     """The fields of `BoundGarment` that a sway network fills, for the body of a modulation (M,).
 
-    Its code becomes part of biases; drive and gate, which read the same, become one layer.
+    Its code becomes part of biases.
     """
     of_first, of_read = shifts_of_body(network, modulation)
-    (drive, drive_bias), (gate, gate_bias) = network.drive, network.gate
     layers = (
         (network.first[0], network.first[1] + of_first),
-        (np.concatenate([drive, gate]), np.concatenate([drive_bias, gate_bias])),
+        network.drive_and_gate,
         (network.read[0], network.read[1] + of_read),
         network.last,
         network.out,

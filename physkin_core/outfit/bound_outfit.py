@@ -9,13 +9,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment_model import GarmentModel, SkinnedGarment
 from physkin_core.motion.everyday_poses import everyday_poses
-from physkin_core.outfit.coverage import OWN_CLOTHES, AlwaysCovered, OwnClothes, covers_of, faces_of, own_clothes_beside
+from physkin_core.outfit.coverage import OWN_CLOTHES, AlwaysCovered, OwnClothes, faces_of, own_clothes_beside
 from physkin_core.outfit.dressing import drapes, put_on
 from physkin_core.outfit.layer_order import LayerOrder, bind_layer_order
 from physkin_core.outfit.taking_in import taken_in
@@ -26,6 +27,9 @@ from physkin_core.runtime.layer import Layer, WornGarment
 __all__ = ["BoundOutfit", "bind_outfit", "hidden_body"]
 
 log = logging.getLogger(__name__)
+
+_in_use: WeakKeyDictionary[Avatar, WeakValueDictionary[str, BoundOutfit]] = WeakKeyDictionary()
+"""What is worn by avatars that are in use, by garments and how they are worn."""
 
 Poses = list[tuple[np.ndarray, np.ndarray]]
 """Joint positions and gravity of each."""
@@ -60,9 +64,25 @@ def bind_outfit(
     hide_covered: bool = True,
     own_clothes: OwnClothes = "replace",
 ) -> BoundOutfit:
-    """Put garments on an avatar. Arguments and ValueErrors: as of `Outfit`."""
+    """Put garments on an avatar. Arguments and ValueErrors: as of `Outfit`.
+
+    The same garments on the same avatar are bound once, as long as what that gave is in use: models and avatars are
+    taken for the objects that they are, and are not written into.
+    """
     if own_clothes not in OWN_CLOTHES:
         raise ValueError(f"own_clothes is {own_clothes!r}; allowed: {', '.join(OWN_CLOTHES)}")
+    worn = [(id(garment.model), garment.tucked, garment.fit) for garment in garments]
+    key = repr((worn, fit, hide_covered, own_clothes))
+    known = _in_use.setdefault(avatar, WeakValueDictionary())
+    bound = known.get(key)
+    if bound is None:  # which keeps its models, so that nothing else has their ids
+        bound = known[key] = _bound(garments, avatar, fit, hide_covered, own_clothes)
+    return bound
+
+
+def _bound(
+    garments: Sequence[WornGarment], avatar: Avatar, fit: float | None, hide_covered: bool, own_clothes: OwnClothes
+) -> BoundOutfit:
     layers, tucks, worth_saying = put_on(garments, avatar, fit=fit)
     orders: tuple[LayerOrder, ...] = ()
     body_hidden = None
@@ -84,7 +104,7 @@ def bind_outfit(
     given = ", ".join(f"{layer.name} {layer.vertex_count} of {len(layer.rest)}" for layer in layers)
     log.info("draping on %s, vertices: %s", avatar.source, given)
     warnings = tuple(dict.fromkeys([*avatar.warnings, *worth_saying]))
-    clothes = own_clothes_beside(avatar, covers_of(layers, [layer.rest for layer in layers]), own_clothes)
+    clothes = own_clothes_beside(avatar, layers, own_clothes)
     return BoundOutfit(
         replace(avatar, warnings=warnings, clothes=clothes), tuple(layers), orders, body_hidden, tuple(worth_saying)
     )

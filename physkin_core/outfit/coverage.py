@@ -104,11 +104,13 @@ def covered(points: np.ndarray, normals: np.ndarray, covers: Sequence[Cover]) ->
     return under
 
 
-def own_clothes_beside(avatar: Avatar, covers: Sequence[Cover], own_clothes: OwnClothes) -> tuple[Avatar, ...]:
-    """What an avatar still wears beside covers at rest: of its own clothes those that are not replaced, without what
-    is covered."""
-    left = []
-    for piece in avatar.clothes if own_clothes != "hide" else ():
+def own_clothes_beside(avatar: Avatar, layers: Sequence[Layer], own_clothes: OwnClothes) -> tuple[Avatar, ...]:
+    """What an avatar still wears beside layers: of its own clothes those that are not replaced, without what is
+    covered at rest."""
+    if own_clothes == "hide" or not avatar.clothes:
+        return ()
+    left, covers = [], covers_of(layers, [layer.rest for layer in layers])
+    for piece in avatar.clothes:
         normals, areas = vertex_normals(piece.vertices, piece.faces), face_areas(piece.vertices, piece.faces)
         under = np.max([_depths(piece.vertices, normals, cover) for cover in covers], axis=0) > 0
         seen = ~faces_of(piece.faces, under)

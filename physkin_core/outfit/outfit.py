@@ -108,6 +108,7 @@ class Outfit:
         return outfit
 
     def _wear(self, bound: BoundOutfit, precision: Precision | None) -> None:
+        self._bound = bound  # what is bound again while it is in use is this
         self.avatar, self.warnings, self.orders = bound.avatar, bound.avatar.warnings, bound.orders
         self._body_hidden = bound.body_hidden
         self._asked = precision

@@ -97,9 +97,9 @@ def put_on_body(model: GarmentModel, avatar: Avatar, fit: float, beneath: Sequen
         seen = _swollen(seen, (1 - fit) * swollen)
         known = known + swollen
     elsewhere = laid.missing + laid.place
-    elsewhere *= np.abs(elsewhere).max() > NEGLIGIBLE
+    is_elsewhere = np.abs(elsewhere).max() > NEGLIGIBLE
     measured = fit * grading.measured(known) if fit else np.zeros_like(garment.vertices)
-    differs = grading.carried(elsewhere)
+    differs = grading.carried(elsewhere) if is_elsewhere else np.zeros_like(garment.vertices)
     closest = grading.closest_vertices(model.node_rest)
     carried = _carried_by_bones(model, seen)
     seen_positions = carried + fit * (model.node_rest - carried) + measured[closest]

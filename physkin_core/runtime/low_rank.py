@@ -43,7 +43,8 @@ def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Laye
             layers += [(_in_steps(directions.T @ weight), np.empty(0, dtype=np.float32))]
             weight = _in_steps(directions)
         layers.append((weight, bias))
-        inputs = [silu(x @ network[k][0].T + network[k][1]) for x, network in zip(inputs, networks)]
+        if k + 1 < len(networks[0]):
+            inputs = [silu(x @ network[k][0].T + network[k][1]) for x, network in zip(inputs, networks)]
     return tuple(layers)
 
 
@@ -60,9 +61,9 @@ def _directions(weight: np.ndarray, inputs: np.ndarray) -> np.ndarray:
     square = inputs.T @ inputs / len(inputs)
     square += 1e-6 * np.trace(square) / len(square) * np.eye(len(square))
     root = np.linalg.cholesky(square)
-    outputs = weight @ root
-    strength, vectors = np.linalg.eigh(outputs.T @ outputs)
-    return outputs @ vectors[:, -DIRECTIONS:] / np.sqrt(strength[-DIRECTIONS:])
+    weight = weight.astype(np.float64)
+    strength, vectors = np.linalg.eigh(root.T @ (weight.T @ weight) @ root)
+    return weight @ (root @ vectors[:, -DIRECTIONS:] / np.sqrt(strength[-DIRECTIONS:]))
 
 
 def _pose_vectors(rig: Rig) -> np.ndarray:

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "evaluator/curve_positions.hpp"
+#include "kernels/shared.hpp"
 
 namespace physkin {
 namespace {
@@ -60,14 +61,16 @@ std::vector<Ring> rings_of(const SkinningData& g) {
 // Neighbours that a ring takes in its group.
 std::size_t steps(const Ring& ring) { return (ring.size() + 1) / 2 * 2; }
 
-}  // namespace
+// Rings of a mesh, whatever body wears it: without places.
+struct PackedRings {
+  FaceRings rings;
+  const std::int32_t* place_of;
+};
 
-FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& arena)
-    : kernels_(kernels), vertex_count_(g.vertex_count) {
-  if (g.face_count == 0) throw std::invalid_argument("normals of faces need a garment with faces; this one has none");
+PackedRings pack_rings(const SkinningData& g, Arena& arena) {
   const std::vector<Ring> rings = rings_of(g);
   // By their length, so that the processor foresees where loops end; then neighbours together, for its caches.
-  const std::vector<std::uint32_t> curve = curve_positions(g.vertices, g.vertex_count);
+  const std::vector<std::uint32_t> curve = curve_positions(g);
   std::vector<std::int32_t> order(g.vertex_count), place_of(g.vertex_count), start{0};
   std::vector<std::uint32_t> neighbours;
   std::iota(order.begin(), order.end(), 0);
@@ -86,13 +89,27 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
     }
     start.push_back(std::int32_t(neighbours.size() / kRingGroup));
   }
-  place_of_ = arena.copy(place_of.data(), place_of.size());
+  PackedRings packed;
+  packed.place_of = arena.copy(place_of.data(), place_of.size());
   arena.leave_out(place_of.size() * sizeof(std::int32_t));  // only a frame in which others move vertices reads it
-  rings_.group_count = int(order.size() / kRingGroup);
-  rings_.vertex = arena.copy(order.data(), order.size());
-  rings_.start = arena.copy(start.data(), start.size());
-  rings_.places = arena.take<float>(4 * order.size());
-  rings_.neighbour = arena.copy(neighbours.data(), neighbours.size());
+  packed.rings.group_count = int(order.size() / kRingGroup);
+  packed.rings.vertex = arena.copy(order.data(), order.size());
+  packed.rings.start = arena.copy(start.data(), start.size());
+  packed.rings.neighbour = arena.copy(neighbours.data(), neighbours.size());
+  return packed;
+}
+
+}  // namespace
+
+FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& arena)
+    : kernels_(kernels), vertex_count_(g.vertex_count) {
+  if (g.face_count == 0) throw std::invalid_argument("normals of faces need a garment with faces; this one has none");
+  Digest digest;
+  digest.add(g.vertex_count).add(g.faces, 3 * std::size_t(g.face_count));
+  const auto packed = shared_in<PackedRings>(arena, digest, [&](Arena& own) { return pack_rings(g, own); });
+  place_of_ = packed.place_of;
+  rings_ = packed.rings;
+  rings_.places = arena.take<float>(4 * std::size_t(rings_.group_count) * kRingGroup);
 }
 
 void FaceNormals::place(const VertexRows& rows) noexcept {

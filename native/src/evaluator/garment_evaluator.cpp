@@ -77,7 +77,9 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       node_transforms_(arena_.take<float>(12 * g.nodes)),
       still_corrections_(arena_.take<float>(12 * g.nodes)),
       corrections_(still_corrections_),
-      detail_offsets_(pace_.offsets()) {}
+      detail_offsets_(pace_.offsets()) {
+  arena_.close();
+}
 
 Rejection GarmentEvaluator::check_corrections() noexcept {
   Rejection bad = reject_beyond("corrections of garment nodes", corrections_, node_deformer_.outputs(), kLargest);

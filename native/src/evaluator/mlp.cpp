@@ -3,15 +3,28 @@
 #include <algorithm>
 
 #include "kernels/dispatch.hpp"
+#include "kernels/shared.hpp"
 
 namespace physkin {
+namespace {
+
+// Packed once for all networks that have this layer.
+PackedLayer pack_once(const DenseWeights& layer, Precision precision, const PackedLayout& layout, Arena& arena) {
+  Digest digest;
+  digest.add(precision).add(layout.panel).add(layout.int8.inputs).add(layout.int8.added).add(layer.outputs);
+  digest.add(layer.matrix, std::size_t(layer.outputs) * std::size_t(layer.inputs));
+  if (!layer.is_projection()) digest.add(layer.bias, std::size_t(layer.outputs));
+  return shared_in<PackedLayer>(arena, digest, [&](Arena& own) { return pack_layer(layer, precision, layout, own); });
+}
+
+}  // namespace
 
 Mlp::Mlp(const std::vector<DenseWeights>& layers, Precision first, Precision others, const Kernels& kernels,
          Arena& arena)
     : dense_(kernels.dense), fetch_ahead_(fetches_ahead()) {
   int widest = 0;
   for (const DenseWeights& layer : layers) {
-    layers_.push_back(pack_layer(layer, layers_.empty() ? first : others, kernels.layout, arena));
+    layers_.push_back(pack_once(layer, layers_.empty() ? first : others, kernels.layout, arena));
     widest = std::max({widest, layer.inputs, layer.outputs});
   }
   for (float*& buffer : buffers_) buffer = arena.take<float>(padded_to_group(widest) + kGroup);

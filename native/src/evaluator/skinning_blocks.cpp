@@ -12,6 +12,7 @@
 
 #include "evaluator/curve_positions.hpp"
 #include "evaluator/skinner.hpp"
+#include "kernels/shared.hpp"
 
 namespace physkin {
 namespace {
@@ -151,8 +152,7 @@ class BlockChooser {
 
 std::vector<Block> choose_blocks(const SkinningData& g) {
   const std::vector<NodeSet> sets = influence_sets(g);
-  BlockChooser chooser(sets, curve_positions(g.vertices, g.vertex_count), g.nodes,
-                       g.has_detail() ? g.detail_numbers / 3 : 0);
+  BlockChooser chooser(sets, curve_positions(g), g.nodes, g.has_detail() ? g.detail_numbers / 3 : 0);
   std::vector<Block> blocks;
   while (!chooser.done()) blocks.push_back(chooser.choose());
   if (blocks.empty()) return blocks;
@@ -226,9 +226,8 @@ const std::int16_t* rounded(const std::vector<float>& weights, float unit, Arena
   return integers;
 }
 
-}  // namespace
-
-SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
+// What body wears them matters to the rest shape of blocks alone, which is left out here.
+SkinningBlocks pack_influences(const SkinningData& g, BlockOrder wanted, Arena& arena) {
   SkinningBlocks blocks;
   blocks.vertex_count = g.vertex_count;
   blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
@@ -242,18 +241,8 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOr
       order.insert(order.end(), block.vertices.begin(), block.vertices.end());
     }
   }
-  auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
   auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
-  for (int i = 0; i < g.vertex_count; ++i) {
-    const int block = i / kBlock, lane = i % kBlock;
-    const std::size_t v = order[i];
-    vertex[i] = order[i];
-    for (int c = 0; c < 3; ++c) {
-      rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
-      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals == nullptr ? 0.0f : g.normals[3 * v + c];
-    }
-  }
-  blocks.rest = rest;
+  std::copy(order.begin(), order.end(), vertex);
   blocks.vertex = vertex;
 
   PackedNodes nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, true);
@@ -270,6 +259,40 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOr
   blocks.detail_offset = arena.copy(details.nodes.data(), details.nodes.size());
   blocks.detail_unit = largest / float(INT16_MAX);
   blocks.detail_weight = rounded(details.weights, blocks.detail_unit, arena);
+  return blocks;
+}
+
+// The same once for all bodies: of what order and influences follow from.
+SkinningBlocks pack_influences_once(const SkinningData& g, Arena& arena) {
+  const auto vertices = std::size_t(g.vertex_count);
+  Digest digest;
+  digest.add(g.nodes).add(g.vertex_count).add(g.influences);
+  digest.add(g.influence_nodes, vertices * std::size_t(g.influences));
+  digest.add(g.influence_weights, vertices * std::size_t(g.influences));
+  if (g.has_detail()) {
+    digest.add(g.detail_influences).add(g.detail_numbers);
+    digest.add(g.detail_nodes, vertices * std::size_t(g.detail_influences));
+    digest.add(g.detail_weights, vertices * std::size_t(g.detail_influences));
+  }
+  return shared_in<SkinningBlocks>(arena, digest,
+                                   [&](Arena& own) { return pack_influences(g, BlockOrder::kFewNodes, own); });
+}
+
+}  // namespace
+
+SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
+  SkinningBlocks blocks =
+      wanted == BlockOrder::kFewNodes ? pack_influences_once(g, arena) : pack_influences(g, wanted, arena);
+  auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
+  for (int i = 0; i < g.vertex_count; ++i) {
+    const int block = i / kBlock, lane = i % kBlock;
+    const std::size_t v = std::size_t(blocks.vertex[i]);
+    for (int c = 0; c < 3; ++c) {
+      rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
+      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals == nullptr ? 0.0f : g.normals[3 * v + c];
+    }
+  }
+  blocks.rest = rest;
   return blocks;
 }
 

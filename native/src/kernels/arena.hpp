@@ -3,21 +3,15 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstdint>
 #include <cstring>
 #include <memory>
-#include <new>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
+#include "kernels/huge_pages.hpp"
 
 namespace physkin {
-
-constexpr std::size_t kAlignment = 64;  // one cache line, and the widest vector register
 
 // Hands out zeroed, 64-byte aligned arrays that live as long as the arena. Arrays taken one after the other lie one
 // after the other, so that a frame streams through its network weights: chunks are large enough for most garments,
@@ -26,6 +20,8 @@ constexpr std::size_t kAlignment = 64;  // one cache line, and the widest vector
 class Arena {
  public:
   Arena() = default;
+  // For less than most garments.
+  explicit Arena(std::size_t chunk) : chunk_(chunk) {}
   Arena(const Arena&) = delete;
   Arena& operator=(const Arena&) = delete;
 
@@ -53,28 +49,29 @@ class Arena {
   std::size_t touched() const noexcept { return touched_; }
   void leave_out(std::size_t bytes) noexcept { touched_ -= bytes; }
 
- private:
-  static constexpr std::size_t kHugePage = std::size_t{2} << 20, kChunk = 4 * kHugePage;
-  static constexpr std::align_val_t kHugePages{kHugePage};
-
-  static std::size_t round_up(std::size_t value, std::size_t step) { return (value + step - 1) / step * step; }
-
-  void add_chunk(std::size_t bytes) {
-    const std::size_t size = round_up(bytes, kChunk);
-    std::unique_ptr<std::byte, Free> chunk(static_cast<std::byte*>(::operator new(size, kHugePages)));
-#if defined(__linux__)
-    // Network weights in small pages lie scattered over the caches' sets; refused, it is only slower.
-    madvise(chunk.get(), size, MADV_HUGEPAGE);
-#endif
-    next_ = chunk.get();
-    remaining_ = size;
-    chunks_.push_back(std::move(chunk));
+  // Keeps alive what arrays of this arena go with, of which a frame may touch so many bytes.
+  void keep(std::shared_ptr<const void> other, std::size_t touched) {
+    kept_.push_back(std::move(other));
+    touched_ += touched;
   }
 
-  struct Free {
-    void operator()(std::byte* memory) const { ::operator delete(memory, kHugePages); }
-  };
-  std::vector<std::unique_ptr<std::byte, Free>> chunks_;
+  // Leaves to others what has not been taken.
+  void close() {
+    if (!chunks_.empty()) chunks_.back().shorten(chunks_.back().size() - remaining_);
+    remaining_ = 0;
+  }
+
+ private:
+  void add_chunk(std::size_t bytes) {
+    close();
+    chunks_.emplace_back(std::max(bytes, chunk_));
+    next_ = chunks_.back().start();
+    remaining_ = chunks_.back().size();
+  }
+
+  std::size_t chunk_ = 4 * kHugePage;
+  std::vector<HugeSpan> chunks_;
+  std::vector<std::shared_ptr<const void>> kept_;
   std::byte* next_ = nullptr;
   std::size_t remaining_ = 0, touched_ = 0;
 };

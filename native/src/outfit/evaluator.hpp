@@ -67,7 +67,7 @@ class Evaluator {
 
   const Kernels& kernels_;
   Precision precision_;
-  Arena arena_;
+  Arena arena_{kHugePage};
   std::vector<std::unique_ptr<GarmentEvaluator>> garments_;
   std::vector<Kept> orders_;
   std::vector<VertexRows> own_rows_;  // with normals, where the caller's have none

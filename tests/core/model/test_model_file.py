@@ -343,3 +343,16 @@ def test_network_weights_beyond_half_precision_are_refused_on_saving(tmp_path):
     with pytest.raises(ModelFileError, match=r"pose_modulator.0.weight holds 1e\+05; float16 stores at most 6.55e\+04"):
         save_garment_model(model, tmp_path / "model.safetensors")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_model_in_use_is_not_read_again(tmp_path):
+    """Nor is its fabric put on again. A file written anew is another model; so is one whose content is given."""
+    path = tmp_path / "tiny.safetensors"
+    save_garment_model(tiny(), path)
+    model, red = load_garment_model(path), load_garment_model(f"{path}:red")
+    assert load_garment_model(str(path)) is model
+    assert load_garment_model(f"{path}:red") is red is not model
+    assert load_garment_model(path, content=model_content(path)) is not model
+    save_garment_model(replace(tiny(), name="other"), path)
+    assert load_garment_model(path).name == "other"
+    assert model.name == "random"

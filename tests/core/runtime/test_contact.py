@@ -11,8 +11,10 @@ from scipy.spatial import cKDTree
 
 from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model, load_motion
 from physkin_core.model.garment import vertex_normals
+from physkin_core.native_module import native
 from physkin_core.quality import closest_points, edge_strain, signed_distance
 from physkin_core.runtime.binding import bind_points
+from physkin_core.runtime.contact import _spread as spread
 from physkin_core.runtime.contact import meeting_skin
 
 RATE = 30.0
@@ -340,3 +342,18 @@ def test_mirrored_poses_give_mirrored_drapes(frame, tshirt):
     assert apart[1] < 0.004
     assert apart[0] < apart[1] + 0.0005
     assert abs(counts[0][0] - counts[0][1]) < 0.25 * sum(counts[1]), counts
+
+
+def test_points_of_the_skin_are_each_the_farthest_from_those_before():
+    """As where all are looked at every time; also of few points, and where points coincide."""
+    rng = np.random.default_rng(0)
+    for count, wanted in ((3000, 400), (65, 65), (7, 5)):
+        points = rng.normal(size=(count, 6))
+        chosen, distance = [0], np.full(count, np.inf)
+        while len(chosen) < wanted:
+            distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+            chosen.append(int(distance.argmax()))
+        assert spread(points, wanted).tolist() == chosen
+    assert spread(np.zeros((70, 3)), 3)[0] == 0
+    with pytest.raises(ValueError, match="more points are to be chosen"):
+        native.spread_points(np.zeros((2, 3)), np.zeros(3, dtype=np.int32))
