@@ -8,8 +8,8 @@
 
 namespace physkin {
 
-// Names of the instruction sets this CPU runs, narrowest first: "baseline", "v3" (AVX2, FMA), "v4" (AVX-512),
-// "v4_vnni" (AVX-512 VNNI); on ARM "baseline" (NEON), "dotprod", "i8mm".
+// Names of the instruction sets this CPU runs, narrowest first: "baseline", "v3" (AVX2, FMA), "v3_vnni" (AVX-VNNI),
+// "v4" (AVX-512), "v4_vnni" (AVX-512 VNNI); on ARM "baseline" (NEON), "dotprod", "i8mm".
 std::vector<std::string> supported_instruction_sets();
 
 // Kernels of the named instruction set; an empty name means the environment variable PHYSKIN_NATIVE_ISA, and without
