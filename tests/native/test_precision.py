@@ -107,8 +107,8 @@ def test_int8_sums_are_the_same_from_bytes_as_from_16_bit_integers(shape, level,
 
 @pytest.mark.skipif("v3" not in LEVELS, reason="this CPU has no AVX2")
 def test_int8_layers_are_the_same_at_either_register_width(make_garment):
-    """Sums are exact and what surrounds them is computed lane by lane. The first layers, whose network weights are paired
-    by register width and rounded so, are left to their biases."""
+    """Sums are exact and what surrounds them is computed lane by lane. First layers are left to their biases: register
+    width decides which of their network weights are rounded together."""
     rng = np.random.default_rng(31)
     garment = make_garment(rng, nodes=11, pose_widths=(), deformer_widths=(160, 225, 130))
     for network in (garment.pose_layers, garment.deformer_layers):

@@ -73,10 +73,6 @@ inline void dense_panel(const PackedLayer& layer, const Rows& rows, const unsign
                         const DenseCall& call, Activation activation) {
   constexpr int kPer = Rows::kSumsALoad, kLoads = loads_a_pass<Rows>(kCount), kAll = kCount / kPer;
   constexpr std::ptrdiff_t kRow = Rows::bytes(kCount * kLanes), kLoad = Rows::bytes(kPer * kLanes);
-  if (kAhead) {  // what comes after the last row, and lies elsewhere
-    prefetch(layer.bias + at, 4 * kCount * kLanes);
-    if (layer.output_scale != nullptr) prefetch(layer.output_scale + at, 4 * kCount * kLanes);
-  }
   for (int first = 0; first < kAll; first += kLoads) {
     typename Rows::Sum sum[kLoads * kPer] = {};
     const unsigned char* part = weights + first * kLoad;
@@ -117,6 +113,10 @@ void dense(const PackedLayer& layer, Activation activation, const DenseCall& cal
   const int padded = padded_to_group(layer.outputs);
   for (int at = 0; at < padded; at += kPanel) {
     const int width = padded - at < kPanel ? padded - at : kPanel;
+    if (kAhead) {  // what a panel's sums meet when all rows are read
+      prefetch(layer.bias + at, 4 * width);
+      if (layer.output_scale != nullptr) prefetch(layer.output_scale + at, 4 * width);
+    }
     dense_panel_of<Rows, kAhead>(width / kLanes, layer, rows, weights, row_count, at, call, activation);
     weights += std::ptrdiff_t(row_count) * Rows::bytes(width);
   }

@@ -220,14 +220,14 @@ struct Int8Rows : QuadInputs {
   static void store_bytes(unsigned char* bytes, Ints rounded) {
     typedef long long Rows __attribute__((vector_size(4 * kLanes)));
     typedef long long StoredRows __attribute__((vector_size(2 * kLanes), may_alias));
-    const __m128i order = _mm_setr_epi8(1, 5, 9, 13, 0, 4, 8, 12, -1, -1, -1, -1, -1, -1, -1, -1);
+    const Rows order = Rows{} + 0x0c080400'0d090501;
     // The second byte of q + 128 is the high one, and the first, its first bit turned, the low one.
     const Ints both = wrapping_sum(rounded, Ints{} + 128) ^ 128;
 #if defined(__AVX512VNNI__)
-    const Rows all = (Rows)_mm512_shuffle_epi8((__m512i)both, _mm512_broadcast_i32x4(order));
+    const Rows all = (Rows)_mm512_shuffle_epi8((__m512i)both, (__m512i)order);
     *reinterpret_cast<StoredRows*>(bytes) = __builtin_shufflevector(all, all, 0, 2, 4, 6);
 #else
-    const Rows all = (Rows)_mm256_shuffle_epi8((__m256i)both, _mm256_broadcastsi128_si256(order));
+    const Rows all = (Rows)_mm256_shuffle_epi8((__m256i)both, (__m256i)order);
     *reinterpret_cast<StoredRows*>(bytes) = __builtin_shufflevector(all, all, 0, 2);
 #endif
   }
