@@ -12,7 +12,7 @@ constexpr int kSums = 8;
 constexpr int kPanel = kSums * kLanes;
 static_assert(kPanel % kGroup == 0);
 
-// How far ahead instructions fetch network weights: measured on Zen 5 and Sapphire Rapids, in L3 and in memory.
+// How far ahead instructions fetch network weights: measured on Zen 5 and Emerald Rapids, in L3 and in memory.
 constexpr std::ptrdiff_t kBytesAhead = 4096;
 
 // values: (count,), whole vectors.
