@@ -49,7 +49,7 @@ typedef struct physkin_garment physkin_garment;
 typedef struct physkin_options {
   uint32_t size;               /* sizeof(physkin_options) */
   const char* precision;       /* of network weights: "fp32", "bf16", "int8" (default) */
-  const char* instruction_set; /* "baseline", "v3", "v4", "v4_vnni"; default the widest that this processor has */
+  const char* instruction_set; /* "baseline", "v3", "v3_vnni", "v4", "v4_vnni"; default the widest of this processor */
 } physkin_options;
 
 /* Loads a bound garment from a file (UTF-8 path) or from memory, which may be freed afterwards. */

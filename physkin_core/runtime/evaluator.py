@@ -36,8 +36,8 @@ NO_DETAIL = np.empty((0, 3), dtype=np.float32)
 def supported_instruction_sets() -> list[str]:
     """Instruction sets this CPU can run, narrowest first.
 
-    "baseline", "v3" (AVX2 and FMA), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI); on ARM "baseline" (NEON),
-    "dotprod", "i8mm".
+    "baseline", "v3" (AVX2 and FMA), "v3_vnni" (also AVX-VNNI), "v4" (AVX-512), "v4_vnni" (AVX-512 and its VNNI); on
+    ARM "baseline" (NEON), "dotprod", "i8mm".
     """
     return native.supported_instruction_sets()
 

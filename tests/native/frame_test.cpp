@@ -72,7 +72,7 @@ struct Cloth {
 }  // namespace
 
 int main(int argc, char** argv) {
-  for (const char* set : {"baseline", "v3", "v4", "v4_vnni", "dotprod", "i8mm"}) {
+  for (const char* set : {"baseline", "v3", "v3_vnni", "v4", "v4_vnni", "dotprod", "i8mm"}) {
     for (const char* precision : {"fp32", "bf16", "int8"}) {
       for (int file = 1; file + 1 < argc; file += 2) {
         const physkin_options options = {sizeof options, precision, set};

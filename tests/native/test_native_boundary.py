@@ -169,7 +169,7 @@ def test_malformed_contact_raises_value_error(change, message, make_garment):
 # --- Choice of the instruction set ---
 
 
-@pytest.mark.parametrize("level", ["baseline", "v3", "v4", "v4_vnni", "", None, "v9"])
+@pytest.mark.parametrize("level", ["baseline", "v3", "v3_vnni", "v4", "v4_vnni", "", None, "v9"])
 def test_environment_forces_the_instruction_set(level, make_garment, monkeypatch):
     """Without it, the widest supported one."""
     garment, supported = make_garment(np.random.default_rng(0)), supported_instruction_sets()

@@ -91,18 +91,32 @@ def test_int8_keeps_the_layer_that_reads_bone_transforms(level, make_garment, ma
         assert np.array_equal(*(evaluator.corrections() for evaluator in evaluators)) == same
 
 
-@pytest.mark.skipif("v4_vnni" not in LEVELS, reason="this CPU has no AVX-512 VNNI")
+@pytest.mark.parametrize("level", [level for level in LEVELS if level.endswith("_vnni")])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_int8_sums_are_the_same_from_bytes_as_from_16_bit_integers(shape, make_garment, make_pose):
-    """Both are exact, and nothing else differs between the two AVX-512 levels."""
+def test_int8_sums_are_the_same_from_bytes_as_from_16_bit_integers(shape, level, make_garment, make_pose):
+    """Both are exact, and nothing else differs between the two levels of one register width."""
     rng = np.random.default_rng(list(f"bytes {shape}".encode()))
     garment = make_garment(rng, **SHAPES[shape])
     pose = make_pose(rng, garment)
     frames = [
         frame(NativeFrame([garment], instruction_set=level, precision="int8"), garment, pose)
-        for level in ("v4", "v4_vnni")
+        for level in (level.removesuffix("_vnni"), level)
     ]
     assert np.array_equal(*frames)
+
+
+@pytest.mark.skipif("v3" not in LEVELS, reason="this CPU has no AVX2")
+def test_int8_layers_are_the_same_at_either_register_width(make_garment):
+    """Sums are exact and what surrounds them is computed lane by lane. First layers are left to their biases: register
+    width decides which of their network weights are rounded together."""
+    rng = np.random.default_rng(31)
+    garment = make_garment(rng, nodes=11, pose_widths=(), deformer_widths=(160, 225, 130))
+    for network in (garment.pose_layers, garment.deformer_layers):
+        network[0][0][:] = 0
+    evaluators = [NativeFrame([garment], instruction_set=level, precision="int8") for level in LEVELS[1:]]
+    for evaluator in evaluators:
+        frame(evaluator, garment, (garment.dof_rest, (0, 0, -1)))
+    assert len({evaluator.corrections().tobytes() for evaluator in evaluators}) == 1
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -23,7 +23,7 @@ Precision of_first_layers(Precision precision) { return precision == Precision::
 const float* padded_rows(const float* values, int count, int width, std::size_t room, Arena& arena) {
   const std::size_t before = arena.touched();
   auto* rows = arena.take<float>(std::size_t(count) * room);
-  arena.leave_out(arena.touched() - before);
+  arena.leave_out_since(before);
   for (int k = 0; k < count; ++k) std::copy_n(values + std::ptrdiff_t(k) * width, width, rows + std::size_t(k) * room);
   return rows;
 }
@@ -98,7 +98,10 @@ StageBytes GarmentEvaluator::stage_bytes() const {
   const std::size_t rows = 6 * sizeof(float) * std::size_t(vertex_count());
   StageBytes bytes{rig_end_ + arena_.touched() - skinner_end_, still_end_ - rig_end_, nodes_end_ - networks_end_,
                    skinner_end_ - nodes_end_ - skinner_.normals_bytes(), skinner_.normals_bytes()};
-  if (fabric_ >= 0) bytes.networks += sizeof(float) * pose_modulator_.modulation_room();
+  if (fabric_ >= 0) {
+    bytes.networks += other_bytes_ + sizeof(float) * other_pose_modulator_->modulation_room();
+    bytes.networks -= pose_end_ - rig_end_;
+  }
   if (learnt_sway_ && learnt_sway_->sways()) bytes.networks += networks_end_ - still_end_;
   if (contact_) bytes.composition -= contact_->untouched();
   (skinner_.has_face_normals() ? bytes.normals : bytes.skinning) += rows;

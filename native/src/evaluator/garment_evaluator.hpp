@@ -89,7 +89,9 @@ class GarmentEvaluator {
   Rig rig_;
   std::size_t rig_end_ = arena_.touched();
   Mlp pose_modulator_;
-  std::optional<Mlp> other_pose_modulator_;  // of other fabrics
+  std::size_t pose_end_ = arena_.touched();
+  std::optional<Mlp> other_pose_modulator_;  // of other fabrics: not counted, since a frame has one of both
+  std::size_t other_bytes_ = arena_.leave_out_since(pose_end_);
   const float *fabric_modulations_, *fabric_weights_, *fabric_sway_shifts_;
   int fabric_sway_, fabric_ = -1;
   Mlp node_deformer_;

@@ -48,6 +48,12 @@ class Arena {
   // Bytes of what was taken that a frame may touch: all but what was left out.
   std::size_t touched() const noexcept { return touched_; }
   void leave_out(std::size_t bytes) noexcept { touched_ -= bytes; }
+  // All since so many were touched; returns how many these are.
+  std::size_t leave_out_since(std::size_t touched) noexcept {
+    const std::size_t bytes = touched_ - touched;
+    touched_ = touched;
+    return bytes;
+  }
 
   // Keeps alive what arrays of this arena go with, of which a frame may touch so many bytes.
   void keep(std::shared_ptr<const void> other, std::size_t touched) {

@@ -2,6 +2,7 @@
 // kernel_unit.cpp only (see simd.hpp).
 #pragma once
 
+#include "kernels/fours.hpp"
 #include "kernels/kernels.hpp"
 #include "kernels/simd.hpp"
 
@@ -53,18 +54,32 @@ inline Ints wrapping_sum(Ints a, Ints b) {
   return (Ints)((Words)a + (Words)b);
 }
 
-// 2 * kLanes network weights as the products below take them.
+#if defined(__AVX2__)
+
+// sum[k] + weights[2 k] * (low half of pair[k]) + weights[2 k + 1] * (high half of pair[k]), as 32-bit integers.
+inline Ints add_pair_products(Ints sum, Ints weights, Ints pair) {
 #if defined(__AVX512BW__)
-typedef __m512i WidePairs;
-inline WidePairs widen_pairs(const unsigned char* weights) {
-  return _mm512_cvtepi8_epi16(*reinterpret_cast<const __m256i*>(weights));
+  return wrapping_sum(sum, (Ints)_mm512_madd_epi16((__m512i)weights, (__m512i)pair));
+#else
+  return wrapping_sum(sum, (Ints)_mm256_madd_epi16((__m256i)weights, (__m256i)pair));
+#endif
 }
-#elif defined(__AVX2__)
-typedef __m256i WidePairs;
-inline WidePairs widen_pairs(const unsigned char* weights) {
-  return _mm256_cvtepi8_epi16(*reinterpret_cast<const __m128i*>(weights));
+
+#if defined(__AVX512VNNI__) || defined(__AVXVNNI__)
+// sum[k] + the products of four network weights, unsigned bytes, and the four signed bytes of quad[k]; modulo 2^32.
+inline Ints add_quad_products(Ints sum, Ints weights, Ints quad) {
+#if defined(__AVX512VNNI__)
+  return (Ints)_mm512_dpbusd_epi32((__m512i)sum, (__m512i)weights, (__m512i)quad);
+#else
+  return (Ints)_mm256_dpbusd_avx_epi32((__m256i)sum, (__m256i)weights, (__m256i)quad);
+#endif
 }
-#elif defined(__SSE2__)
+#endif
+
+#else
+
+// 2 * kLanes network weights as the products below take them.
+#if defined(__SSE2__)
 typedef __m128i WidePairs;
 inline WidePairs widen_pairs(const unsigned char* weights) {
   const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(weights));
@@ -83,11 +98,7 @@ inline WidePairs widen_pairs(const unsigned char* weights) {
 
 // sum[k] + weights[2 k] * (low half of pair[k]) + weights[2 k + 1] * (high half of pair[k]), as 32-bit integers.
 inline Ints add_pair_products(Ints sum, WidePairs weights, Ints pair) {
-#if defined(__AVX512BW__)
-  return wrapping_sum(sum, (Ints)_mm512_madd_epi16(weights, (__m512i)pair));
-#elif defined(__AVX2__)
-  return wrapping_sum(sum, (Ints)_mm256_madd_epi16(weights, (__m256i)pair));
-#elif defined(__SSE2__)
+#if defined(__SSE2__)
   return wrapping_sum(sum, (Ints)_mm_madd_epi16(weights, (__m128i)pair));
 #elif defined(__wasm_simd128__)
   return wrapping_sum(sum, (Ints)wasm_i32x4_dot_i16x8(weights, (v128_t)pair));
@@ -97,11 +108,6 @@ inline Ints add_pair_products(Ints sum, WidePairs weights, Ints pair) {
 #endif
 }
 
-#if defined(__AVX512VNNI__)
-// sum[k] + the products of four network weights, unsigned bytes, and the four signed bytes of quad[k]; modulo 2^32.
-inline Ints add_quad_products(Ints sum, Ints weights, Ints quad) {
-  return (Ints)_mm512_dpbusd_epi32((__m512i)sum, (__m512i)weights, (__m512i)quad);
-}
 #endif
 
 // What the ways to multiply 8-bit network weights share: inputs as integers.
@@ -160,50 +166,78 @@ inline std::int32_t word_at(const void* data) {
   return word;
 }
 
-#if defined(__AVX512VNNI__)
+#if defined(__AVX2__)
 
-// Rows of four inputs. An integer q is 256 high + low with signed bytes (kInt8InputLimit), network weights are stored
-// as w + 128, and one instruction adds the products of four unsigned and four signed bytes: the two sums over
-// (w + 128) high and (w + 128) low make the sum over w q plus 128 times that over q. Exact: all is integer and modulo
-// 2^32, and the sum over w q is within 32 bits.
-struct Int8Rows : QuantisedInputs {
-  struct Sum {
-    Ints high, low;
-  };
-  static constexpr int kRegistersASum = 2;
+// Rows of four inputs. Network weights are stored as w + 128, unsigned bytes: the sum over (w + 128) q is that over w q
+// plus 128 times that over q. Exact: all is integer and modulo 2^32, and the sum over w q is within 32 bits.
+struct QuadInputs : QuantisedInputs {
   static constexpr Int8Layout kLayout{4, 128};
   static constexpr int kInputs = 4;
+  static constexpr int kSumsALoad = 1;
   static constexpr int bytes(int outputs) { return kInputs * outputs; }
 
-  const signed char *high, *low;
   std::int32_t surplus;  // 128 times the sum of all integers
 
-  void prepare(const PackedLayer& layer, const DenseCall& call) {
-    typedef signed char Bytes __attribute__((vector_size(kLanes), may_alias));
-    signed char* const bytes = reinterpret_cast<signed char*>(call.quantised);
-    const int padded = (layer.inputs + kLanes - 1) / kLanes * kLanes;
+  template <class Store>
+  void quantise(const PackedLayer& layer, const float* input, Store store) {
     Ints sum = {};
-    quantise(layer, call.input, [&](int i, Ints rounded) {
-      const Ints upper = wrapping_sum(rounded, Ints{} + 128) >> 8;
-      *reinterpret_cast<Bytes*>(bytes + i) = __builtin_convertvector(upper, Bytes);
-      *reinterpret_cast<Bytes*>(bytes + padded + i) = __builtin_convertvector(rounded, Bytes);
+    QuantisedInputs::quantise(layer, input, [&](int i, Ints rounded) {
+      store(i, rounded);
       sum = wrapping_sum(sum, rounded);
     });
-    high = bytes;
-    low = bytes + padded;
     std::uint32_t total = 0;
     for (int lane = 0; lane < kLanes; ++lane) total += std::uint32_t(sum[lane]);
     surplus = std::int32_t(128 * total);
   }
 
   typedef Ints Weights;
-  static constexpr int kSumsALoad = 1;
   static Weights decode(const unsigned char* weights) { return load_ints(weights); }
+
+  Floats value(Ints sum, const PackedLayer& layer, int at) const {
+    return QuantisedInputs::value(wrapping_sum(sum, Ints{} - surplus), layer, at);
+  }
+};
+
+#if defined(__AVX512VNNI__) || defined(__AVXVNNI__)
+
+// An integer q is 256 high + low with signed bytes (kInt8InputLimit). One instruction adds the products of four unsigned
+// and four signed bytes. A row of inputs has the high ones and then the low ones.
+struct Int8Rows : QuadInputs {
+  struct Sum {
+    Ints high, low;
+  };
+  static constexpr int kRegistersASum = 2;
+
+  const unsigned char* rows;
+
+  void prepare(const PackedLayer& layer, const DenseCall& call) {
+    unsigned char* const bytes = reinterpret_cast<unsigned char*>(call.quantised);
+    quantise(layer, call.input, [&](int i, Ints rounded) { store_bytes(bytes + 2 * i, rounded); });
+    rows = bytes;
+  }
+
+  // By hand: GCC 12 converts to bytes one by one.
+  static void store_bytes(unsigned char* bytes, Ints rounded) {
+    typedef long long Rows __attribute__((vector_size(4 * kLanes)));
+    typedef long long StoredRows __attribute__((vector_size(2 * kLanes), may_alias));
+    const Rows order = Rows{} + 0x0c080400'0d090501;
+    // The second byte of q + 128 is the high one, and the first, its first bit turned, the low one.
+    const Ints both = wrapping_sum(rounded, Ints{} + 128) ^ 128;
+#if defined(__AVX512VNNI__)
+    const Rows all = (Rows)_mm512_shuffle_epi8((__m512i)both, (__m512i)order);
+    *reinterpret_cast<StoredRows*>(bytes) = __builtin_shufflevector(all, all, 0, 2, 4, 6);
+#else
+    const Rows all = (Rows)_mm256_shuffle_epi8((__m256i)both, (__m256i)order);
+    *reinterpret_cast<StoredRows*>(bytes) = __builtin_shufflevector(all, all, 0, 2);
+#endif
+  }
+
   struct Factor {
     Ints high, low;
   };
   Factor factor(int row) const {
-    return {Ints{} + word_at(high + kInputs * row), Ints{} + word_at(low + kInputs * row)};
+    const unsigned char* at = rows + 2 * kInputs * row;
+    return {Ints{} + word_at(at), Ints{} + word_at(at + kInputs)};
   }
   static void multiply_add(Weights weights, Factor quad, Sum* sum, int) {
     sum->high = add_quad_products(sum->high, weights, quad.high);
@@ -211,10 +245,44 @@ struct Int8Rows : QuantisedInputs {
   }
 
   Floats value(Sum sum, const PackedLayer& layer, int at) const {
-    const Ints all = wrapping_sum(sum.high << 8, sum.low);
-    return QuantisedInputs::value(wrapping_sum(all, Ints{} - surplus), layer, at);
+    return QuadInputs::value(wrapping_sum(sum.high << 8, sum.low), layer, at);
   }
 };
+
+#else
+
+// Inputs in 16 bits, the first and third of a row before its second and fourth: so network weights become 16-bit
+// integers by a mask and a shift, which more of a processor's units do than widen bytes.
+struct Int8Rows : QuadInputs {
+  typedef Ints Sum;
+  static constexpr int kRegistersASum = 1;
+
+  const std::int16_t* quantised;
+
+  void prepare(const PackedLayer& layer, const DenseCall& call) {
+    typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
+    quantise(layer, call.input, [&](int i, Ints rounded) {
+      const Ints turned = (Ints)turned_fours<0, 2, 1, 3>((Floats)rounded);
+      *reinterpret_cast<Shorts*>(call.quantised + i) = __builtin_convertvector(turned, Shorts);
+    });
+    quantised = call.quantised;
+  }
+
+  struct Factor {
+    Ints even, odd;
+  };
+  Factor factor(int row) const {
+    const std::int16_t* at = quantised + kInputs * row;
+    return {Ints{} + word_at(at), Ints{} + word_at(at + 2)};
+  }
+  static void multiply_add(Weights weights, Factor quad, Sum* sum, int) {
+    typedef std::uint16_t Shorts __attribute__((vector_size(4 * kLanes)));
+    *sum = add_pair_products(*sum, weights & 0x00ff00ff, quad.even);
+    *sum = add_pair_products(*sum, (Ints)((Shorts)weights >> 8), quad.odd);
+  }
+};
+
+#endif
 
 #else
 

@@ -3,7 +3,9 @@
 #include <cstdlib>
 #include <stdexcept>
 
-#if defined(PHYSKIN_ARM_LEVELS) && defined(__linux__)
+#if defined(PHYSKIN_X86_LEVELS)
+#include <cpuid.h>
+#elif defined(PHYSKIN_ARM_LEVELS) && defined(__linux__)
 #include <sys/auxv.h>
 #endif
 
@@ -14,6 +16,9 @@ extern const Kernels kernels;
 }
 #if defined(PHYSKIN_X86_LEVELS)
 namespace v3 {
+extern const Kernels kernels;
+}
+namespace v3_vnni {
 extern const Kernels kernels;
 }
 namespace v4 {
@@ -38,6 +43,15 @@ struct Level {
   bool supported;
 };
 
+#if defined(PHYSKIN_X86_LEVELS)
+// AVX-VNNI, by CPUID leaf 7.1: older compilers have no name for it.
+bool has_avx_vnni() {
+  unsigned a = 0, b = 0, c = 0, d = 0;
+  return __get_cpuid_count(7, 0, &a, &b, &c, &d) != 0 && a >= 1 && __get_cpuid_count(7, 1, &a, &b, &c, &d) != 0 &&
+         (a >> 4 & 1) != 0;
+}
+#endif
+
 std::vector<Level> levels() {
   std::vector<Level> all{{&baseline::kernels, true}};
 #if defined(PHYSKIN_X86_LEVELS)
@@ -46,6 +60,7 @@ std::vector<Level> levels() {
   const bool v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
                   __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw");
   all.push_back({&v3::kernels, v3});
+  all.push_back({&v3_vnni::kernels, v3 && has_avx_vnni()});
   all.push_back({&v4::kernels, v4});
   all.push_back({&v4_vnni::kernels, v4 && __builtin_cpu_supports("avx512vnni")});
 #elif defined(PHYSKIN_ARM_LEVELS)

@@ -44,9 +44,18 @@ inline Floats widened(const std::int16_t* integers) {
 #endif
 }
 
-// The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.
+// Both keep a NaN in v: a non-finite value must reach the output check, not turn into a limit. So do minimum and maximum
+// of SSE and AVX, whose second operand is the result where one is NaN; of a comparison GCC makes four times the work.
+#if defined(__AVX2__) && !defined(__AVX512F__)
+inline Floats at_least(Floats v, float limit) { return (Floats)_mm256_max_ps(_mm256_set1_ps(limit), (__m256)v); }
+inline Floats at_most(Floats v, float limit) { return (Floats)_mm256_min_ps(_mm256_set1_ps(limit), (__m256)v); }
+#elif defined(__x86_64__) && !defined(__AVX512F__)
+inline Floats at_least(Floats v, float limit) { return (Floats)_mm_max_ps(_mm_set1_ps(limit), (__m128)v); }
+inline Floats at_most(Floats v, float limit) { return (Floats)_mm_min_ps(_mm_set1_ps(limit), (__m128)v); }
+#else
 inline Floats at_least(Floats v, float limit) { return v < limit ? Floats{} + limit : v; }
 inline Floats at_most(Floats v, float limit) { return v > limit ? Floats{} + limit : v; }
+#endif
 
 // Whether a comparison holds anywhere.
 inline bool any(Ints holds) {

@@ -88,7 +88,7 @@ def test_diagnostics(peer, shared_node, draper):
     report = next(report for report in peer.reports if report["evaluation p50 [us]"] != "none")
     assert 0 < float(report["evaluation p50 [us]"]) <= float(report["evaluation p99 [us]"])
     assert (report["model"], report["precision"]) == ("vest", "int8")
-    assert report["instruction set"] in ("baseline", "v3", "v4", "v4_vnni")
+    assert report["instruction set"] in ("baseline", "v3", "v3_vnni", "v4", "v4_vnni")
     assert float(report["last stamp age [s]"]) > 0
     assert report["cloth inside the body at rest [%]"] == f"{draper.at_rest.inside_percent:.1f}"
     assert report["advice"] == (draper.at_rest.advice or "none")
