@@ -22,9 +22,9 @@ EMPTIED_ROUNDS = 30
 
 
 def compared_levels() -> list[str]:
-    """AVX2 and the widest instruction set: they are timed cold, and compared with peers, which choose by themselves."""
+    """AVX2, AVX-VNNI and the widest instruction set: they are timed cold, and compared with peers, which choose by themselves."""
     levels = supported_instruction_sets()
-    return [level for level in levels if level in ("v3", levels[-1])]
+    return [level for level in levels if level in ("v3", "v3_vnni", levels[-1])]
 
 
 def measure_case(case: BenchmarkCase, *, rounds: int) -> dict[str, object]:
