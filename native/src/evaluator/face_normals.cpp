@@ -81,7 +81,7 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
     for (std::size_t step = 0; step < steps(rings[order[first + kRingGroup - 1]]); ++step) {
       for (int k = 0; k < kRingGroup; ++k) {
         const Ring& ring = rings[order[first + k]];
-        neighbours.push_back(std::uint32_t(place_of[ring[std::min(step, ring.size() - 1)]]) * (4 * sizeof(float)));
+        neighbours.push_back(2 * std::uint32_t(place_of[ring[std::min(step, ring.size() - 1)]]));
       }
     }
     start.push_back(std::int32_t(neighbours.size() / kRingGroup));
@@ -91,7 +91,13 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
   rings_.vertex = arena.copy(order.data(), order.size());
   rings_.start = arena.copy(start.data(), start.size());
   rings_.places = arena.take<float>(4 * order.size());
-  rings_.neighbour = arena.copy(neighbours.data(), neighbours.size());
+  if (2 * order.size() <= UINT16_MAX) {
+    auto* near = arena.take<std::uint16_t>(neighbours.size());
+    std::transform(neighbours.begin(), neighbours.end(), near, [](std::uint32_t at) { return std::uint16_t(at); });
+    rings_.near_neighbour = near;
+  } else {
+    rings_.neighbour = arena.copy(neighbours.data(), neighbours.size());
+  }
 }
 
 void FaceNormals::place(const VertexRows& rows) noexcept {

@@ -4,26 +4,31 @@
 
 namespace physkin {
 
-void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept {
+void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float unit,
+                       float* matrices) noexcept {
   for (int i = 0; i < nodes; ++i) {
     const Affine node = load_affine(node_transforms + 12 * i);
     store_affine({node.linear, node.translation - node.linear * load_vector(node_rest + 3 * i)}, matrices + 12 * i);
+    for (int k = 0; k < 12; ++k) matrices[12 * i + k] *= unit;
   }
 }
 
-Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
+Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena, Precision precision)
     : kernels_(kernels),
       nodes_(data.nodes),
       detail_nodes_(data.has_detail() ? data.detail_numbers / 3 : 0),
-      blocks_(pack_skinning_blocks(data, arena)),
+      blocks_(pack_skinning_blocks(data, arena, BlockOrder::kFewNodes, precision)),
       node_rest_(arena.copy(data.node_rest, 3 * std::size_t(data.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {
   if (data.face_count > 0) {
     face_normals_.emplace(data, kernels, arena);
-    auto* places = arena.take<std::int32_t>(std::size_t(blocks_.block_count) * kBlock);
-    for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
     blocks_into_places_ = blocks_;
-    blocks_into_places_.vertex = places;
+    const auto into_places = [&](auto& rows) {
+      auto* places = arena.copy(rows.vertex, std::size_t(blocks_.block_count) * kBlock);
+      for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(rows.vertex[i]);
+      rows.vertex = places;
+    };
+    blocks_.is_narrow ? into_places(blocks_into_places_.narrow) : into_places(blocks_into_places_.wide);
   }
 }
 
@@ -37,7 +42,7 @@ Rejection Skinner::check_offsets(const float* offsets) const noexcept {
 
 void Skinner::skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
                    bool are_moved) noexcept {
-  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
+  skinning_matrices(node_transforms, node_rest_, nodes_, blocks_.unit, matrices_);
   const bool into_places = face_normals_ && rows.with_normals && !are_moved;
   kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_, detail_nodes_ > 0 ? offsets : nullptr,
                 into_places ? face_normals_->places() : rows);

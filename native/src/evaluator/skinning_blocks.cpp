@@ -7,6 +7,7 @@
 #include <limits>
 #include <map>
 #include <numeric>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -176,9 +177,13 @@ struct PackedNodes {
   std::vector<float> weights;
 };
 
-// order: vertices, block by block. at_least_one: a half has a node even if none has a weight there.
-PackedNodes pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, bool at_least_one) {
-  PackedNodes packed;
+struct Packed {
+  PackedNodes light, heavy;
+};
+
+// order: vertices, block by block. Heavy are nodes that a vertex of the block goes with by more than `most`.
+Packed pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, float most = FLT_MAX) {
+  Packed packed;
   for (std::size_t first = 0; first < order.size(); first += kBlock) {
     const std::size_t count = std::min<std::size_t>(kBlock, order.size() - first);
     std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
@@ -192,47 +197,95 @@ PackedNodes pack_nodes(const Influences& of, const std::vector<std::int32_t>& or
         halves[of.nodes[at + k]].in[lane / kHalf] = true;
       }
     }
-    if (at_least_one && of_nodes.empty()) of_nodes[0] = {};
-    const auto start = std::int32_t(packed.nodes.size());
-    std::int32_t begin[2] = {start, start}, end[2] = {start, start};
-    for (const Halves wanted : {Halves{{true, false}}, Halves{{true, true}}, Halves{{false, true}}, Halves{}}) {
-      for (const auto& [node, weights] : of_nodes) {
-        const Halves found = halves[node];
-        if (found.in[0] != wanted.in[0] || found.in[1] != wanted.in[1]) continue;
-        packed.nodes.push_back(node);
-        packed.weights.insert(packed.weights.end(), weights.begin(), weights.end());
+    for (const bool is_heavy : {false, true}) {
+      PackedNodes& rows = is_heavy ? packed.heavy : packed.light;
+      const auto start = std::int32_t(rows.nodes.size());
+      NodeRange first_half{start, start}, second_half{start, start};
+      for (const Halves wanted : {Halves{{true, false}}, Halves{{true, true}}, Halves{{false, true}}}) {
+        for (const auto& [node, weights] : of_nodes) {
+          const Halves found = halves[node];
+          if (found.in[0] != wanted.in[0] || found.in[1] != wanted.in[1]) continue;
+          if ((*std::max_element(weights.begin(), weights.end()) > most) != is_heavy) continue;
+          rows.nodes.push_back(node);
+          rows.weights.insert(rows.weights.end(), weights.begin(), weights.end());
+        }
+        const auto now = std::int32_t(rows.nodes.size());
+        if (wanted.in[0]) first_half.end = now;
+        if (!wanted.in[1]) second_half.begin = now;
+        second_half.end = now;
       }
-      const auto now = std::int32_t(packed.nodes.size());
-      if (wanted.in[0]) end[0] = now;
-      if (!wanted.in[1] && wanted.in[0]) begin[1] = now;
-      if (wanted.in[1]) end[1] = now;
-    }
-    for (int half = 0; half < 2; ++half) {
-      if (end[half] <= begin[half]) {
-        begin[half] = at_least_one ? std::int32_t(packed.nodes.size()) - 1 : begin[half];
-        end[half] = begin[half] + at_least_one;
-      }
-      packed.halves.push_back({begin[half], end[half]});
+      rows.halves.insert(rows.halves.end(), {first_half, second_half});
     }
   }
   return packed;
 }
 
-// In 16 bits.
-const std::int16_t* rounded(const std::vector<float>& weights, float unit, Arena& arena) {
-  auto* integers = arena.take<std::int16_t>(weights.size());
-  std::transform(weights.begin(), weights.end(), integers,
-                 [&](float weight) { return std::int16_t(std::lround(weight / unit)); });
-  return integers;
+// stride: from a node's matrix or offset to the next one's [floats]. unit: of whole weights.
+template <class Start, class Weight>
+NodeRows<Start, Weight> in_rows(const PackedNodes& packed, int stride, float unit, Arena& arena) {
+  auto* start = arena.take<Start>(packed.nodes.size());
+  auto* weight = arena.take<Weight>(packed.weights.size());
+  std::transform(packed.nodes.begin(), packed.nodes.end(), start, [&](int node) { return Start(node * stride); });
+  std::transform(packed.weights.begin(), packed.weights.end(), weight, [&](float given) {
+    return std::is_integral_v<Weight> ? Weight(std::lround(given / unit)) : Weight(given);
+  });
+  return {arena.copy(packed.halves.data(), packed.halves.size()), start, weight};
 }
 
-}  // namespace
+// Weights as whole numbers of a unit. Those of a vertex sum to what they do, rounded: one, where they sum to one, as a
+// vertex that goes with a little more than all of its nodes would be off the mesh.
+struct WholeWeights {
+  std::vector<float> weights;
+  float unit;
+};
 
-SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
-  SkinningBlocks blocks;
-  blocks.vertex_count = g.vertex_count;
-  blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
+// So many units to the largest sum of a vertex's weights; by the largest remainders.
+WholeWeights whole_weights(const float* weights, int vertices, int count, int units) {
+  WholeWeights whole{std::vector<float>(std::size_t(vertices) * std::size_t(count)), FLT_MIN};
+  const auto row = [&](int vertex) { return weights + std::ptrdiff_t(vertex) * count; };
+  for (int v = 0; v < vertices; ++v) whole.unit = std::max(whole.unit, std::accumulate(row(v), row(v) + count, 0.0f));
+  whole.unit /= float(units);
+  std::vector<int> by_remainder(static_cast<std::size_t>(count));
+  std::vector<float> remainder(static_cast<std::size_t>(count));
+  for (int v = 0; v < vertices; ++v) {
+    float* target = whole.weights.data() + std::ptrdiff_t(v) * count;
+    float sum = 0;
+    long missing = 0;
+    for (int k = 0; k < count; ++k) {
+      const float wanted = row(v)[k] / whole.unit;
+      target[k] = std::round(wanted);
+      remainder[k] = wanted - target[k];
+      sum += wanted;
+      missing -= long(target[k]);
+    }
+    missing += std::lround(sum);
+    if (missing == 0) continue;
+    const float step = missing > 0 ? 1.0f : -1.0f;
+    std::iota(by_remainder.begin(), by_remainder.end(), 0);
+    std::sort(by_remainder.begin(), by_remainder.end(),
+              [&](int a, int b) { return step * remainder[a] > step * remainder[b]; });
+    for (long k = 0; k < std::labs(missing); ++k) target[by_remainder[k]] += step;
+  }
+  return whole;
+}
 
+// Model files hold garment nodes' weights in these units: they are rounded no more.
+constexpr int kUnits = 4095, kByte = 255;
+
+// Whether numbers of 16 bits, and none below zero, are enough.
+bool fits_narrow_rows(const SkinningData& g) {
+  constexpr int kMost = 1 << 16;
+  const auto is_signed = [](const float* weights, std::size_t count) {
+    return std::any_of(weights, weights + count, [](float weight) { return weight < 0; });
+  };
+  return g.vertex_count <= kMost && g.nodes <= kMost / 12 &&
+         !is_signed(g.influence_weights, std::size_t(g.vertex_count) * std::size_t(g.influences)) &&
+         (!g.has_detail() ||
+          (g.detail_numbers <= kMost &&
+           !is_signed(g.detail_weights, std::size_t(g.vertex_count) * std::size_t(g.detail_influences))));
+}
+
+std::vector<std::int32_t> order_of_blocks(const SkinningData& g, BlockOrder wanted) {
   std::vector<std::int32_t> order;
   if (wanted == BlockOrder::kAsGiven) {
     order.resize(std::size_t(g.vertex_count));
@@ -242,34 +295,84 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOr
       order.insert(order.end(), block.vertices.begin(), block.vertices.end());
     }
   }
-  auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
-  auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
-  for (int i = 0; i < g.vertex_count; ++i) {
-    const int block = i / kBlock, lane = i % kBlock;
-    const std::size_t v = order[i];
-    vertex[i] = order[i];
-    for (int c = 0; c < 3; ++c) {
-      rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
-      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals == nullptr ? 0.0f : g.normals[3 * v + c];
+  return order;
+}
+
+// (blocks, 3, kBlock) of points (vertices, 3), or zeros.
+const float* in_blocks(const float* points, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  auto* columns = arena.take<float>(std::size_t(block_count) * 3 * kBlock);
+  for (std::size_t i = 0; points != nullptr && i < order.size(); ++i) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      columns[(i / kBlock * 3 + c) * kBlock + i % kBlock] = points[3 * std::size_t(order[i]) + c];
     }
   }
-  blocks.rest = rest;
-  blocks.vertex = vertex;
+  return columns;
+}
 
-  PackedNodes nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, true);
-  for (std::int32_t& node : nodes.nodes) node *= 12;
-  blocks.influences = arena.copy(nodes.halves.data(), nodes.halves.size());
-  blocks.influence_matrix = arena.copy(nodes.nodes.data(), nodes.nodes.size());
-  blocks.influence_weight = arena.copy(nodes.weights.data(), nodes.weights.size());
-  if (!g.has_detail()) return blocks;
-  PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order, false);
-  for (std::int32_t& node : details.nodes) node *= 3;
-  const float largest = std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
-                                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
-  blocks.details = arena.copy(details.halves.data(), details.halves.size());
-  blocks.detail_offset = arena.copy(details.nodes.data(), details.nodes.size());
-  blocks.detail_unit = largest / float(INT16_MAX);
-  blocks.detail_weight = rounded(details.weights, blocks.detail_unit, arena);
+template <class Index>
+const Index* indices(const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  auto* target = arena.take<Index>(std::size_t(block_count) * kBlock);
+  std::transform(order.begin(), order.end(), target, [](std::int32_t vertex) { return Index(vertex); });
+  return target;
+}
+
+WideRows wide_rows(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks,
+                   Arena& arena) {
+  WideRows rows;
+  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order);
+  rows.influences = in_rows<std::int32_t, float>(nodes.light, 12, 1, arena);
+  if (g.has_detail()) {
+    const PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order).light;
+    const float largest =
+        std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
+                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
+    blocks.detail_unit = largest / float(INT16_MAX);
+    rows.details = in_rows<std::int32_t, std::int16_t>(details, 3, blocks.detail_unit, arena);
+  }
+  rows.vertex = indices<std::int32_t>(order, blocks.block_count, arena);
+  return rows;
+}
+
+NarrowRows narrow_rows(const SkinningData& g, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  NarrowRows rows;
+  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, kByte);
+  rows.heavy_influences = in_rows<std::uint16_t, std::int16_t>(nodes.heavy, 12, 1, arena);
+  rows.influences = in_rows<std::uint16_t, std::uint8_t>(nodes.light, 12, 1, arena);
+  if (g.has_detail()) {
+    const Packed details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order);
+    rows.details = in_rows<std::uint16_t, std::uint8_t>(details.light, 3, 1, arena);
+  }
+  rows.vertex = indices<std::uint16_t>(order, block_count, arena);
+  return rows;
+}
+
+}  // namespace
+
+SkinningBlocks pack_skinning_blocks(const SkinningData& given, Arena& arena, BlockOrder wanted, Precision precision) {
+  SkinningData g = given;
+  SkinningBlocks blocks;
+  blocks.vertex_count = g.vertex_count;
+  blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
+  blocks.is_narrow = precision != Precision::fp32 && fits_narrow_rows(g);
+  WholeWeights whole, whole_details;
+  if (blocks.is_narrow) {
+    whole = whole_weights(g.influence_weights, g.vertex_count, g.influences, kUnits);
+    g.influence_weights = whole.weights.data();
+    blocks.unit = whole.unit;
+    if (g.has_detail()) {
+      whole_details = whole_weights(g.detail_weights, g.vertex_count, g.detail_influences, kByte);
+      g.detail_weights = whole_details.weights.data();
+      blocks.detail_unit = whole_details.unit;
+    }
+  }
+  const std::vector<std::int32_t> order = order_of_blocks(g, wanted);
+  if (blocks.is_narrow) {
+    blocks.narrow = narrow_rows(g, order, blocks.block_count, arena);
+  } else {
+    blocks.wide = wide_rows(g, order, blocks, arena);
+  }
+  blocks.rest = in_blocks(g.vertices, order, blocks.block_count, arena);
+  blocks.normals = in_blocks(g.normals, order, blocks.block_count, arena);
   return blocks;
 }
 

@@ -19,18 +19,37 @@ struct NodeRange {
   std::int32_t begin, end;
 };
 
+// Nodes of the blocks, a row each, and the weights of a block's vertices.
+template <class Start, class Weight>
+struct NodeRows {
+  const NodeRange* halves = nullptr;  // (block_count, 2) of each half into the next two
+  const Start* start = nullptr;       // (rows,) where a node's matrix or offset starts [floats]
+  const Weight* weight = nullptr;     // (rows, kBlock) in units, zeros beyond vertex_count
+};
+
+// As the numbers were given, or in fewer bytes. Weights are in units then, as integers of which those of a vertex sum to
+// one exactly; garment nodes that no vertex of a block goes with by more than a byte have rows of bytes.
+struct WideRows {
+  NodeRows<std::int32_t, float> influences;
+  NodeRows<std::int32_t, std::int16_t> details;  // none without detail
+  const std::int32_t* vertex = nullptr;          // (block_count, kBlock) index in the caller's order
+};
+struct NarrowRows {
+  NodeRows<std::uint16_t, std::uint8_t> influences;
+  NodeRows<std::uint16_t, std::int16_t> heavy_influences;
+  NodeRows<std::uint16_t, std::uint8_t> details;
+  const std::uint16_t* vertex = nullptr;
+};
+
 struct SkinningBlocks {
   int vertex_count = 0, block_count = 0;
-  const NodeRange* influences = nullptr;           // (block_count, 2) of each half into the next two, at least one
-  const std::int32_t* influence_matrix = nullptr;  // (influences,) where a garment node's matrix starts
-  const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
-  const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
-  const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
-  // The same of detail nodes, or none: those of a block, where their offsets start, and weights of its vertices.
-  const NodeRange* details = nullptr;           // (block_count, 2)
-  const std::int32_t* detail_offset = nullptr;  // (detail influences,)
-  const std::int16_t* detail_weight = nullptr;  // (detail influences, kBlock) in detail_unit: half as much to read
-  float detail_unit = 0;
+  bool is_narrow = false;
+  WideRows wide;                   // if not
+  NarrowRows narrow;               // if it is
+  float unit = 1;                  // of garment nodes' weights: matrices are to be multiplied with it before
+  float detail_unit = 0;           // of detail nodes' weights
+  const float* rest = nullptr;     // (block_count, 3, kBlock): x, y, z
+  const float* normals = nullptr;  // (block_count, 3, kBlock) at rest, likewise
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no
@@ -52,9 +71,11 @@ struct FaceRings {
   // (group_count, kRingGroup) in the caller's order. Where vertices do not fill the groups, the first one is there more
   // than once: only its last place holds its position, and is written after the others.
   const std::int32_t* vertex = nullptr;
-  const std::int32_t* start = nullptr;       // (group_count + 1,) into the next
-  const std::uint32_t* neighbour = nullptr;  // (steps, kRingGroup) where its place begins [bytes]
-  float* places = nullptr;                   // (group_count, kRingGroup, 4) positions in order of `vertex`
+  const std::int32_t* start = nullptr;  // (group_count + 1,) into the next
+  // (steps, kRingGroup) where its place begins [8 bytes]: in 16 bits, or, where there are too many places, in 32.
+  const std::uint16_t* near_neighbour = nullptr;
+  const std::uint32_t* neighbour = nullptr;
+  float* places = nullptr;  // (group_count, kRingGroup, 4) positions in order of `vertex`
 };
 
 // The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.
@@ -143,7 +164,7 @@ struct Kernels {
   DenseKernel dense[kPrecisionCount][2];
 
   // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes,
-  // 12). A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
+  // 12), multiplied with the weights' unit. A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 

@@ -19,12 +19,11 @@ static_assert(kRingGroup % kLanes == 0);
 constexpr float kUpwards = 1e-18f;
 
 // Of kFours vertices.
-inline Floats places_at(const float* places, const std::uint32_t* at) {
-  const auto one = [places](std::uint32_t bytes) {
-    return reinterpret_cast<const float*>(reinterpret_cast<const char*>(places) + bytes);
-  };
+template <class Index>
+inline Floats places_at(const float* places, const Index* at) {
+  const auto one = [places](Index place) { return places + 2 * std::size_t(place); };
 #if defined(__AVX2__)
-  const auto two = [one](const std::uint32_t* from) {
+  const auto two = [one](const Index* from) {
     return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(one(from[0]))), _mm_load_ps(one(from[1])), 1);
   };
 #endif
@@ -44,7 +43,8 @@ inline Floats turned(Floats v) { return turned_fours<1, 2, 0, 3>(v); }
 // Twice the areas within the rings of kFours vertices, not turned yet. They are the sum of cross products of neighbours
 // that follow each other, or of every other one with the step between the two beside it; and from any point, such as the
 // first neighbour, whose product then vanishes.
-inline Floats ring_areas(const float* places, const std::uint32_t* ring, int length) {
+template <class Index>
+inline Floats ring_areas(const float* places, const Index* ring, int length) {
   const Floats corner = places_at(places, ring);
   Floats before = places_at(places, ring + kRingGroup);
   Floats area = shuffle_fours<kLanes, 0, 0, 0>(Floats{}, Floats{} + kUpwards);
@@ -95,10 +95,10 @@ inline void write_normals(const Floats* areas, const float* place, const std::in
 }
 
 // kLength: of the rings, or 0 to take it from `length`.
-template <int kLength>
-inline void write_group(const FaceRings& rings, int group, int length, const VertexRows& rows,
+template <int kLength, class Index>
+inline void write_group(const FaceRings& rings, const Index* neighbours, int group, int length, const VertexRows& rows,
                         std::ptrdiff_t row_bytes) {
-  const std::uint32_t* ring = rings.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
+  const Index* ring = neighbours + std::ptrdiff_t(rings.start[group]) * kRingGroup;
   const std::ptrdiff_t first = std::ptrdiff_t(group) * kRingGroup;
   for (int lane = 0; lane < kRingGroup; lane += kLanes) {
     Floats areas[4];
@@ -110,17 +110,23 @@ inline void write_group(const FaceRings& rings, int group, int length, const Ver
   }
 }
 
-// Copies, as rows are bytes, which what they are written from could be, too.
-inline void ring_normals(FaceRings rings, VertexRows rows) {
+template <class Index>
+inline void write_groups(const FaceRings& rings, const Index* neighbours, const VertexRows& rows) {
   const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
   for (int group = 0; group < rings.group_count; ++group) {
     const int length = rings.start[group + 1] - rings.start[group];
     if (length == 6) {  // most of a mesh
-      write_group<6>(rings, group, length, rows, row_bytes);
+      write_group<6>(rings, neighbours, group, length, rows, row_bytes);
     } else {
-      write_group<0>(rings, group, length, rows, row_bytes);
+      write_group<0>(rings, neighbours, group, length, rows, row_bytes);
     }
   }
+}
+
+// Copies, as rows are bytes, which what they are written from could be, too.
+inline void ring_normals(FaceRings rings, VertexRows rows) {
+  rings.near_neighbour != nullptr ? write_groups(rings, rings.near_neighbour, rows)
+                                  : write_groups(rings, rings.neighbour, rows);
 }
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -34,7 +34,20 @@ inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p);
 inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
 inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }
 
-// kLanes 16-bit integers as floats.
+// kLanes numbers as floats.
+inline Floats widened(const float* numbers) { return load(numbers); }
+inline Floats widened(const std::uint8_t* bytes) {
+#if defined(__AVX512F__)
+  const __m512i words = _mm512_maskz_cvtepu8_epi32(0xffff, _mm_loadu_si128(reinterpret_cast<const __m128i*>(bytes)));
+  return __builtin_convertvector((Ints)words, Floats);
+#elif defined(__AVX2__)
+  const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
+  return __builtin_convertvector((Ints)words, Floats);
+#else
+  typedef std::uint8_t Bytes __attribute__((vector_size(kLanes), may_alias));
+  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Bytes*>(bytes), Ints), Floats);
+#endif
+}
 inline Floats widened(const std::int16_t* integers) {
 #if defined(__aarch64__)  // GCC 12 converts them one by one
   return (Floats)vcvtq_f32_s32(vmovl_s16(vld1_s16(integers)));
