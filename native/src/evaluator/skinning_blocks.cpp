@@ -299,14 +299,34 @@ std::vector<std::int32_t> order_of_blocks(const SkinningData& g, BlockOrder want
 }
 
 // (blocks, 3, kBlock) of points (vertices, 3), or zeros.
-const float* in_blocks(const float* points, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
-  auto* columns = arena.take<float>(std::size_t(block_count) * 3 * kBlock);
+template <class Number>
+Number* in_blocks(const Number* points, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  auto* columns = arena.take<Number>(std::size_t(block_count) * 3 * kBlock);
   for (std::size_t i = 0; points != nullptr && i < order.size(); ++i) {
     for (std::size_t c = 0; c < 3; ++c) {
       columns[(i / kBlock * 3 + c) * kBlock + i % kBlock] = points[3 * std::size_t(order[i]) + c];
     }
   }
   return columns;
+}
+
+// In 16 bits: of a garment of a metre, to 0.01 mm.
+void round_rest(const SkinningData& g, const std::vector<std::int32_t>& order, NarrowRows& rows, int block_count,
+                Arena& arena) {
+  for (int c = 0; c < 3; ++c) {
+    float low = g.vertices[c], high = low;
+    for (int v = 0; v < g.vertex_count; ++v) {
+      low = std::min(low, g.vertices[3 * v + c]);
+      high = std::max(high, g.vertices[3 * v + c]);
+    }
+    rows.rest_middle[c] = 0.5f * low + 0.5f * high;
+    rows.rest_unit = std::max({rows.rest_unit, FLT_MIN, (0.5f * high - 0.5f * low) / float(INT16_MAX)});
+  }
+  std::vector<std::int16_t> rounded(3 * std::size_t(g.vertex_count));
+  for (std::size_t at = 0; at < rounded.size(); ++at) {
+    rounded[at] = std::int16_t(std::lround((g.vertices[at] - rows.rest_middle[at % 3]) / rows.rest_unit));
+  }
+  rows.rest = in_blocks(rounded.data(), order, block_count, arena);
 }
 
 template <class Index>
@@ -329,6 +349,7 @@ WideRows wide_rows(const SkinningData& g, const std::vector<std::int32_t>& order
     blocks.detail_unit = largest / float(INT16_MAX);
     rows.details = in_rows<std::int32_t, std::int16_t>(details, 3, blocks.detail_unit, arena);
   }
+  rows.rest = in_blocks(g.vertices, order, blocks.block_count, arena);
   rows.vertex = indices<std::int32_t>(order, blocks.block_count, arena);
   return rows;
 }
@@ -342,6 +363,7 @@ NarrowRows narrow_rows(const SkinningData& g, const std::vector<std::int32_t>& o
     const Packed details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order);
     rows.details = in_rows<std::uint16_t, std::uint8_t>(details.light, 3, 1, arena);
   }
+  round_rest(g, order, rows, block_count, arena);
   rows.vertex = indices<std::uint16_t>(order, block_count, arena);
   return rows;
 }
@@ -371,7 +393,6 @@ SkinningBlocks pack_skinning_blocks(const SkinningData& given, Arena& arena, Blo
   } else {
     blocks.wide = wide_rows(g, order, blocks, arena);
   }
-  blocks.rest = in_blocks(g.vertices, order, blocks.block_count, arena);
   blocks.normals = in_blocks(g.normals, order, blocks.block_count, arena);
   return blocks;
 }

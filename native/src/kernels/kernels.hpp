@@ -32,12 +32,15 @@ struct NodeRows {
 struct WideRows {
   NodeRows<std::int32_t, float> influences;
   NodeRows<std::int32_t, std::int16_t> details;  // none without detail
+  const float* rest = nullptr;                   // (block_count, 3, kBlock): x, y, z
   const std::int32_t* vertex = nullptr;          // (block_count, kBlock) index in the caller's order
 };
 struct NarrowRows {
   NodeRows<std::uint16_t, std::uint8_t> influences;
   NodeRows<std::uint16_t, std::int16_t> heavy_influences;
   NodeRows<std::uint16_t, std::uint8_t> details;
+  const std::int16_t* rest = nullptr;  // in rest_unit, from rest_middle
+  float rest_unit = 0, rest_middle[3] = {};
   const std::uint16_t* vertex = nullptr;
 };
 
@@ -48,8 +51,7 @@ struct SkinningBlocks {
   NarrowRows narrow;               // if it is
   float unit = 1;                  // of garment nodes' weights: matrices are to be multiplied with it before
   float detail_unit = 0;           // of detail nodes' weights
-  const float* rest = nullptr;     // (block_count, 3, kBlock): x, y, z
-  const float* normals = nullptr;  // (block_count, 3, kBlock) at rest, likewise
+  const float* normals = nullptr;  // (block_count, 3, kBlock) at rest
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no

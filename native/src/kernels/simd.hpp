@@ -34,27 +34,37 @@ inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p);
 inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
 inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }
 
-// kLanes numbers as floats.
+// kLanes numbers as floats. GCC 12 converts narrow ones in steps, or one by one, where it is not told how.
 inline Floats widened(const float* numbers) { return load(numbers); }
-inline Floats widened(const std::uint8_t* bytes) {
-#if defined(__AVX512F__)
-  const __m512i words = _mm512_maskz_cvtepu8_epi32(0xffff, _mm_loadu_si128(reinterpret_cast<const __m128i*>(bytes)));
-  return __builtin_convertvector((Ints)words, Floats);
-#elif defined(__AVX2__)
-  const __m256i words = _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
-  return __builtin_convertvector((Ints)words, Floats);
-#else
-  typedef std::uint8_t Bytes __attribute__((vector_size(kLanes), may_alias));
-  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Bytes*>(bytes), Ints), Floats);
-#endif
-}
+
 inline Floats widened(const std::int16_t* integers) {
-#if defined(__aarch64__)  // GCC 12 converts them one by one
+#if defined(__aarch64__)
   return (Floats)vcvtq_f32_s32(vmovl_s16(vld1_s16(integers)));
 #else
+#if defined(__AVX512F__)
+  const __m256i from = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(integers));
+  const Ints words = (Ints)_mm512_maskz_cvtepi16_epi32(0xffff, from);
+#elif defined(__AVX2__)
+  const Ints words = (Ints)_mm256_cvtepi16_epi32(_mm_loadu_si128(reinterpret_cast<const __m128i*>(integers)));
+#else
   typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
-  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints), Floats);
+  const Ints words = __builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints);
 #endif
+  return __builtin_convertvector(words, Floats);
+#endif
+}
+
+inline Floats widened(const std::uint8_t* bytes) {
+#if defined(__AVX512F__)
+  const __m128i from = _mm_loadu_si128(reinterpret_cast<const __m128i*>(bytes));
+  const Ints words = (Ints)_mm512_maskz_cvtepu8_epi32(0xffff, from);
+#elif defined(__AVX2__)
+  const Ints words = (Ints)_mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
+#else
+  typedef std::uint8_t Bytes __attribute__((vector_size(kLanes), may_alias));
+  const Ints words = __builtin_convertvector(*reinterpret_cast<const Bytes*>(bytes), Ints);
+#endif
+  return __builtin_convertvector(words, Floats);
 }
 
 // The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.

@@ -80,6 +80,12 @@ inline BlendedLanes blend_lanes(const NarrowRows& rows, const float* matrices, i
   return blend;
 }
 
+// kLanes coordinates at rest.
+inline Floats at_rest(const WideRows& rows, std::ptrdiff_t at, int) { return load(rows.rest + at); }
+inline Floats at_rest(const NarrowRows& rows, std::ptrdiff_t at, int coordinate) {
+  return widened(rows.rest + at) * rows.rest_unit + rows.rest_middle[coordinate];
+}
+
 // Where they are at rest, moved by the offsets of the block's detail nodes.
 struct RestLanes {
   Floats of[kTogether][3];
@@ -98,9 +104,8 @@ inline RestLanes rest_lanes(const SkinningBlocks& blocks, const Rows& rows, cons
   }
 #pragma GCC unroll 4
   for (int v = 0; v < kTogether; ++v) {
-    const float* rest = blocks.rest + std::ptrdiff_t(block) * 3 * kBlock + lane + v * kLanes;
     for (int c = 0; c < 3; ++c) {
-      const Floats place = load(rest + c * kBlock);
+      const Floats place = at_rest(rows, (3 * std::ptrdiff_t(block) + c) * kBlock + lane + v * kLanes, c);
       sum.of[v][c] = kDetail ? place + sum.of[v][c] * blocks.detail_unit : place;
     }
   }
