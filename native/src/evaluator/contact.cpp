@@ -182,7 +182,7 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
 }
 
 void Contact::place(const float* node_transforms, const float* offsets) noexcept {
-  skinning_matrices(node_transforms, node_rest_, node_count_, 1, matrices_);
+  skinning_matrices(node_transforms, node_rest_, node_count_, matrices_);
   kernels_.skin_columns(blocks_, matrices_, offsets, columns_);
 }
 

@@ -63,7 +63,7 @@ GarmentEvaluator::GarmentEvaluator(const BoundGarment& g, const Kernels& kernels
       pace_(g.nodes, g.has_detail() ? g.detail_numbers / 3 : 0, arena_),
       skin_(g.meets_skin() ? std::make_optional<SkinSurface>(g, kernels, arena_) : std::optional<SkinSurface>()),
       contact_(g.meets_skin() ? std::make_optional<Contact>(g, kernels, arena_) : std::optional<Contact>()),
-      skinner_(g, kernels, arena_, precision),
+      skinner_(g, kernels, arena_),
       bone_count_(g.bones),
       deformer_bone_count_(g.deformer_bone_count),
       deformer_bones_(arena_.copy(g.deformer_bones, g.deformer_bone_count)),

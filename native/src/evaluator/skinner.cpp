@@ -4,20 +4,18 @@
 
 namespace physkin {
 
-void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float unit,
-                       float* matrices) noexcept {
+void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept {
   for (int i = 0; i < nodes; ++i) {
     const Affine node = load_affine(node_transforms + 12 * i);
     store_affine({node.linear, node.translation - node.linear * load_vector(node_rest + 3 * i)}, matrices + 12 * i);
-    for (int k = 0; k < 12; ++k) matrices[12 * i + k] *= unit;
   }
 }
 
-Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena, Precision precision)
+Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
     : kernels_(kernels),
       nodes_(data.nodes),
       detail_nodes_(data.has_detail() ? data.detail_numbers / 3 : 0),
-      blocks_(pack_skinning_blocks(data, arena, BlockOrder::kFewNodes, precision)),
+      blocks_(pack_skinning_blocks(data, arena)),
       node_rest_(arena.copy(data.node_rest, 3 * std::size_t(data.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(data.nodes))) {
   if (data.face_count > 0) {
@@ -42,7 +40,7 @@ Rejection Skinner::check_offsets(const float* offsets) const noexcept {
 
 void Skinner::skin(const float* node_transforms, const float* offsets, const VertexRows& rows,
                    bool are_moved) noexcept {
-  skinning_matrices(node_transforms, node_rest_, nodes_, blocks_.unit, matrices_);
+  skinning_matrices(node_transforms, node_rest_, nodes_, matrices_);
   const bool into_places = face_normals_ && rows.with_normals && !are_moved;
   kernels_.skin(into_places ? blocks_into_places_ : blocks_, matrices_, detail_nodes_ > 0 ? offsets : nullptr,
                 into_places ? face_normals_->places() : rows);

@@ -12,23 +12,20 @@
 namespace physkin {
 
 // Packs a garment's vertices for the kernel (skinning_blocks.cpp): in blocks that go with few nodes, or, where others count
-// on their order, as they are given. Weights are kept as they are for fp32, else rounded to 1/4095, and those of detail
-// nodes to 1/255, of the largest sum of a vertex, where what is packed fits narrow rows.
+// on their order, as they are given. In narrow rows where nothing is lost: where garment nodes' weights are whole 1/4095
+// and detail nodes' whole 1/511, as model files hold them.
 enum class BlockOrder { kFewNodes, kAsGiven };
-SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena, BlockOrder order = BlockOrder::kFewNodes,
-                                    Precision precision = Precision::fp32);
+SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena, BlockOrder order = BlockOrder::kFewNodes);
 
-// chi_i * inverse of each garment node's rest transform, times the weights' unit: what the kernel takes. All (nodes, 3,
-// 4), node_rest (nodes, 3).
-void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float unit,
-                       float* matrices) noexcept;
+// chi_i * inverse of each garment node's rest transform, what the kernel takes. All (nodes, 3, 4), node_rest (nodes, 3).
+void skinning_matrices(const float* node_transforms, const float* node_rest, int nodes, float* matrices) noexcept;
 
 // Normals are those of the posed mesh's faces, weighted by area: rest normals know nothing of ripples and folds. Where
 // there are no faces, as of points, skinning carries rest normals along.
 class Skinner {
  public:
   // The data must be valid; they are copied into the arena.
-  Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena, Precision precision = Precision::fp32);
+  Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena);
 
   // node_transforms (nodes, 3, 4), root frame, metres: refused where they are not finite.
   Rejection check(const float* node_transforms) const noexcept;

@@ -7,6 +7,7 @@
 #include <limits>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -44,11 +45,6 @@ struct Block {
   std::vector<std::int32_t> vertices;
   NodeSet nodes;                  // of the vertices, all together
   std::array<int, 4> loops = {};  // garment nodes and detail nodes of all, and both of the first half
-};
-
-// Whether a node is one of the first half of a block's vertices, and of the second.
-struct Halves {
-  bool in[2] = {};
 };
 
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
@@ -181,41 +177,79 @@ struct Packed {
   PackedNodes light, heavy;
 };
 
-// order: vertices, block by block. Heavy are nodes that a vertex of the block goes with by more than `most`.
-Packed pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, float most = FLT_MAX) {
+struct NodeRow {
+  std::int32_t node;
+  std::array<float, kBlock> weights;
+
+  float heaviest() const { return *std::max_element(weights.begin(), weights.end()); }
+  NodeRow up_to(float most) const {
+    NodeRow row = *this;
+    for (float& weight : row.weights) weight = std::min(weight, most);
+    return row;
+  }
+  NodeRow beyond(float most) const {
+    NodeRow row = *this;
+    for (float& weight : row.weights) weight -= std::min(weight, most);
+    return row;
+  }
+  bool in(int half) const {
+    const auto first = weights.begin() + half * kHalf;
+    return std::any_of(first, first + kHalf, [](float weight) { return weight != 0; });
+  }
+};
+
+// Of vertices that lie in one block, in order of the nodes.
+std::vector<NodeRow> rows_of(const Influences& of, const std::int32_t* vertices, std::size_t count) {
+  std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
+  for (std::size_t lane = 0; lane < count; ++lane) {
+    const std::size_t at = std::size_t(vertices[lane]) * std::size_t(of.count);
+    // A node may be listed twice.
+    for (int k = 0; k < of.count; ++k) of_nodes[of.nodes[at + k]][lane] += of.weights[at + k];
+  }
+  std::vector<NodeRow> rows;
+  for (const auto& [node, weights] : of_nodes) rows.push_back({node, weights});
+  return rows;
+}
+
+void add_block(PackedNodes& packed, const std::vector<NodeRow>& rows) {
+  const auto now = [&] { return std::int32_t(packed.nodes.size()); };
+  const auto add = [&](bool in_first, bool in_second) {
+    for (const NodeRow& row : rows) {
+      if (row.in(0) != in_first || row.in(1) != in_second) continue;
+      packed.nodes.push_back(row.node);
+      packed.weights.insert(packed.weights.end(), row.weights.begin(), row.weights.end());
+    }
+  };
+  NodeRange first{now(), 0}, second{};
+  add(true, false);
+  second.begin = now();
+  add(true, true);
+  first.end = now();
+  add(false, true);
+  second.end = now();
+  packed.halves.insert(packed.halves.end(), {first, second});
+}
+
+// What to do with nodes that a vertex of the block goes with by more than `most`: they are heavy, or have another row for
+// what is beyond.
+enum class Beyond { kHeavy, kAnotherRow };
+
+// order: vertices, block by block.
+Packed pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, float most = FLT_MAX,
+                  Beyond beyond = Beyond::kHeavy) {
   Packed packed;
   for (std::size_t first = 0; first < order.size(); first += kBlock) {
-    const std::size_t count = std::min<std::size_t>(kBlock, order.size() - first);
-    std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
-    std::map<std::int32_t, Halves> halves;
-    for (std::size_t lane = 0; lane < count; ++lane) {
-      const std::size_t at = std::size_t(order[first + lane]) * std::size_t(of.count);
-      for (int k = 0; k < of.count; ++k) {
-        const float weight = of.weights[at + k];
-        if (weight == 0.0f) continue;
-        of_nodes[of.nodes[at + k]][lane] += weight;  // a node may be listed twice
-        halves[of.nodes[at + k]].in[lane / kHalf] = true;
+    std::vector<NodeRow> light, heavy;
+    for (NodeRow row : rows_of(of, order.data() + first, std::min<std::size_t>(kBlock, order.size() - first))) {
+      if (beyond == Beyond::kHeavy && row.heaviest() > most) {
+        heavy.push_back(row);
+        continue;
       }
+      for (; row.heaviest() > most; row = row.beyond(most)) light.push_back(row.up_to(most));
+      light.push_back(row);
     }
-    for (const bool is_heavy : {false, true}) {
-      PackedNodes& rows = is_heavy ? packed.heavy : packed.light;
-      const auto start = std::int32_t(rows.nodes.size());
-      NodeRange first_half{start, start}, second_half{start, start};
-      for (const Halves wanted : {Halves{{true, false}}, Halves{{true, true}}, Halves{{false, true}}}) {
-        for (const auto& [node, weights] : of_nodes) {
-          const Halves found = halves[node];
-          if (found.in[0] != wanted.in[0] || found.in[1] != wanted.in[1]) continue;
-          if ((*std::max_element(weights.begin(), weights.end()) > most) != is_heavy) continue;
-          rows.nodes.push_back(node);
-          rows.weights.insert(rows.weights.end(), weights.begin(), weights.end());
-        }
-        const auto now = std::int32_t(rows.nodes.size());
-        if (wanted.in[0]) first_half.end = now;
-        if (!wanted.in[1]) second_half.begin = now;
-        second_half.end = now;
-      }
-      rows.halves.insert(rows.halves.end(), {first_half, second_half});
-    }
+    add_block(packed.light, light);
+    add_block(packed.heavy, heavy);
   }
   return packed;
 }
@@ -232,57 +266,23 @@ NodeRows<Start, Weight> in_rows(const PackedNodes& packed, int stride, float uni
   return {arena.copy(packed.halves.data(), packed.halves.size()), start, weight};
 }
 
-// Weights as whole numbers of a unit. Those of a vertex sum to what they do, rounded: one, where they sum to one, as a
-// vertex that goes with a little more than all of its nodes would be off the mesh.
-struct WholeWeights {
-  std::vector<float> weights;
-  float unit;
-};
+// Steps to one of garment nodes' and of detail nodes' weights, as model files hold them.
+constexpr int kSteps = 4095, kDetailSteps = 511;
 
-// So many units to the largest sum of a vertex's weights; by the largest remainders.
-WholeWeights whole_weights(const float* weights, int vertices, int count, int units) {
-  WholeWeights whole{std::vector<float>(std::size_t(vertices) * std::size_t(count)), FLT_MIN};
-  const auto row = [&](int vertex) { return weights + std::ptrdiff_t(vertex) * count; };
-  for (int v = 0; v < vertices; ++v) whole.unit = std::max(whole.unit, std::accumulate(row(v), row(v) + count, 0.0f));
-  whole.unit /= float(units);
-  std::vector<int> by_remainder(static_cast<std::size_t>(count));
-  std::vector<float> remainder(static_cast<std::size_t>(count));
-  for (int v = 0; v < vertices; ++v) {
-    float* target = whole.weights.data() + std::ptrdiff_t(v) * count;
+// Weights of each vertex as whole numbers of so many steps to one: no vector where they are not, but for how floats are
+// rounded, or sum to more.
+std::optional<std::vector<float>> in_steps(const float* weights, int vertices, int count, int steps) {
+  constexpr float kRounding = 1.0f / 256;
+  std::vector<float> whole;
+  for (const float *row = weights, *end = row + std::ptrdiff_t(vertices) * count; row != end; row += count) {
     float sum = 0;
-    long missing = 0;
     for (int k = 0; k < count; ++k) {
-      const float wanted = row(v)[k] / whole.unit;
-      target[k] = std::round(wanted);
-      remainder[k] = wanted - target[k];
-      sum += wanted;
-      missing -= long(target[k]);
+      const float exact = row[k] * float(steps), step = std::round(exact);
+      if (!(exact >= 0) || !(std::fabs(exact - step) < kRounding) || (sum += step) > float(steps)) return {};
+      whole.push_back(step);
     }
-    missing += std::lround(sum);
-    if (missing == 0) continue;
-    const float step = missing > 0 ? 1.0f : -1.0f;
-    std::iota(by_remainder.begin(), by_remainder.end(), 0);
-    std::sort(by_remainder.begin(), by_remainder.end(),
-              [&](int a, int b) { return step * remainder[a] > step * remainder[b]; });
-    for (long k = 0; k < std::labs(missing); ++k) target[by_remainder[k]] += step;
   }
   return whole;
-}
-
-// Model files hold garment nodes' weights in these units: they are rounded no more.
-constexpr int kUnits = 4095, kByte = 255;
-
-// Whether numbers of 16 bits, and none below zero, are enough.
-bool fits_narrow_rows(const SkinningData& g) {
-  constexpr int kMost = 1 << 16;
-  const auto is_signed = [](const float* weights, std::size_t count) {
-    return std::any_of(weights, weights + count, [](float weight) { return weight < 0; });
-  };
-  return g.vertex_count <= kMost && g.nodes <= kMost / 12 &&
-         !is_signed(g.influence_weights, std::size_t(g.vertex_count) * std::size_t(g.influences)) &&
-         (!g.has_detail() ||
-          (g.detail_numbers <= kMost &&
-           !is_signed(g.detail_weights, std::size_t(g.vertex_count) * std::size_t(g.detail_influences))));
 }
 
 std::vector<std::int32_t> order_of_blocks(const SkinningData& g, BlockOrder wanted) {
@@ -299,34 +299,14 @@ std::vector<std::int32_t> order_of_blocks(const SkinningData& g, BlockOrder want
 }
 
 // (blocks, 3, kBlock) of points (vertices, 3), or zeros.
-template <class Number>
-Number* in_blocks(const Number* points, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
-  auto* columns = arena.take<Number>(std::size_t(block_count) * 3 * kBlock);
+const float* in_blocks(const float* points, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  auto* columns = arena.take<float>(std::size_t(block_count) * 3 * kBlock);
   for (std::size_t i = 0; points != nullptr && i < order.size(); ++i) {
     for (std::size_t c = 0; c < 3; ++c) {
       columns[(i / kBlock * 3 + c) * kBlock + i % kBlock] = points[3 * std::size_t(order[i]) + c];
     }
   }
   return columns;
-}
-
-// In 16 bits: of a garment of a metre, to 0.01 mm.
-void round_rest(const SkinningData& g, const std::vector<std::int32_t>& order, NarrowRows& rows, int block_count,
-                Arena& arena) {
-  for (int c = 0; c < 3; ++c) {
-    float low = g.vertices[c], high = low;
-    for (int v = 0; v < g.vertex_count; ++v) {
-      low = std::min(low, g.vertices[3 * v + c]);
-      high = std::max(high, g.vertices[3 * v + c]);
-    }
-    rows.rest_middle[c] = 0.5f * low + 0.5f * high;
-    rows.rest_unit = std::max({rows.rest_unit, FLT_MIN, (0.5f * high - 0.5f * low) / float(INT16_MAX)});
-  }
-  std::vector<std::int16_t> rounded(3 * std::size_t(g.vertex_count));
-  for (std::size_t at = 0; at < rounded.size(); ++at) {
-    rounded[at] = std::int16_t(std::lround((g.vertices[at] - rows.rest_middle[at % 3]) / rows.rest_unit));
-  }
-  rows.rest = in_blocks(rounded.data(), order, block_count, arena);
 }
 
 template <class Index>
@@ -336,63 +316,51 @@ const Index* indices(const std::vector<std::int32_t>& order, int block_count, Ar
   return target;
 }
 
-WideRows wide_rows(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks,
-                   Arena& arena) {
-  WideRows rows;
+void pack_wide(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
   const Packed nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order);
-  rows.influences = in_rows<std::int32_t, float>(nodes.light, 12, 1, arena);
-  if (g.has_detail()) {
-    const PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order).light;
-    const float largest =
-        std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
-                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
-    blocks.detail_unit = largest / float(INT16_MAX);
-    rows.details = in_rows<std::int32_t, std::int16_t>(details, 3, blocks.detail_unit, arena);
-  }
-  rows.rest = in_blocks(g.vertices, order, blocks.block_count, arena);
-  rows.vertex = indices<std::int32_t>(order, blocks.block_count, arena);
-  return rows;
+  blocks.wide.influences = in_rows<std::int32_t, float>(nodes.light, 12, 1, arena);
+  blocks.wide.vertex = indices<std::int32_t>(order, blocks.block_count, arena);
+  if (!g.has_detail()) return;
+  const PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order).light;
+  const float largest = std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
+                                        [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
+  blocks.detail_unit = largest / float(INT16_MAX);
+  blocks.wide.details = in_rows<std::int32_t, std::int16_t>(details, 3, blocks.detail_unit, arena);
 }
 
-NarrowRows narrow_rows(const SkinningData& g, const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
-  NarrowRows rows;
-  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, kByte);
-  rows.heavy_influences = in_rows<std::uint16_t, std::int16_t>(nodes.heavy, 12, 1, arena);
-  rows.influences = in_rows<std::uint16_t, std::uint8_t>(nodes.light, 12, 1, arena);
-  if (g.has_detail()) {
-    const Packed details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order);
-    rows.details = in_rows<std::uint16_t, std::uint8_t>(details.light, 3, 1, arena);
+// False, and nothing packed, where weights are no whole steps, or indices too large.
+bool pack_narrow(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
+  constexpr int kMost = 1 << 16;
+  const int detail_influences = g.has_detail() ? g.detail_influences : 0;
+  if (g.vertex_count > kMost || 12 * std::int64_t(g.nodes) > kMost || (g.has_detail() && g.detail_numbers > kMost)) {
+    return false;
   }
-  round_rest(g, order, rows, block_count, arena);
-  rows.vertex = indices<std::uint16_t>(order, block_count, arena);
-  return rows;
+  const auto weights = in_steps(g.influence_weights, g.vertex_count, g.influences, kSteps);
+  const auto details = in_steps(g.detail_weights, g.vertex_count, detail_influences, kDetailSteps);
+  if (!weights || !details) return false;
+  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, weights->data()}, order, UINT8_MAX);
+  blocks.unit = 1.0f / kSteps;
+  blocks.narrow.heavy_influences = in_rows<std::uint16_t, std::int16_t>(nodes.heavy, 12, 1, arena);
+  blocks.narrow.influences = in_rows<std::uint16_t, std::uint8_t>(nodes.light, 12, 1, arena);
+  blocks.narrow.vertex = indices<std::uint16_t>(order, blocks.block_count, arena);
+  if (!g.has_detail()) return true;
+  const Packed of_details =
+      pack_nodes({detail_influences, g.detail_nodes, details->data()}, order, UINT8_MAX, Beyond::kAnotherRow);
+  blocks.detail_unit = 1.0f / kDetailSteps;
+  blocks.narrow.details = in_rows<std::uint16_t, std::uint8_t>(of_details.light, 3, 1, arena);
+  return true;
 }
 
 }  // namespace
 
-SkinningBlocks pack_skinning_blocks(const SkinningData& given, Arena& arena, BlockOrder wanted, Precision precision) {
-  SkinningData g = given;
+SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
   SkinningBlocks blocks;
   blocks.vertex_count = g.vertex_count;
   blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
-  blocks.is_narrow = precision != Precision::fp32 && fits_narrow_rows(g);
-  WholeWeights whole, whole_details;
-  if (blocks.is_narrow) {
-    whole = whole_weights(g.influence_weights, g.vertex_count, g.influences, kUnits);
-    g.influence_weights = whole.weights.data();
-    blocks.unit = whole.unit;
-    if (g.has_detail()) {
-      whole_details = whole_weights(g.detail_weights, g.vertex_count, g.detail_influences, kByte);
-      g.detail_weights = whole_details.weights.data();
-      blocks.detail_unit = whole_details.unit;
-    }
-  }
   const std::vector<std::int32_t> order = order_of_blocks(g, wanted);
-  if (blocks.is_narrow) {
-    blocks.narrow = narrow_rows(g, order, blocks.block_count, arena);
-  } else {
-    blocks.wide = wide_rows(g, order, blocks, arena);
-  }
+  blocks.is_narrow = pack_narrow(g, order, blocks, arena);
+  if (!blocks.is_narrow) pack_wide(g, order, blocks, arena);
+  blocks.rest = in_blocks(g.vertices, order, blocks.block_count, arena);
   blocks.normals = in_blocks(g.normals, order, blocks.block_count, arena);
   return blocks;
 }

@@ -27,31 +27,28 @@ struct NodeRows {
   const Weight* weight = nullptr;     // (rows, kBlock) in units, zeros beyond vertex_count
 };
 
-// As the numbers were given, or in fewer bytes. Weights are in units then, as integers of which those of a vertex sum to
-// one exactly; garment nodes that no vertex of a block goes with by more than a byte have rows of bytes.
 struct WideRows {
   NodeRows<std::int32_t, float> influences;
   NodeRows<std::int32_t, std::int16_t> details;  // none without detail
-  const float* rest = nullptr;                   // (block_count, 3, kBlock): x, y, z
   const std::int32_t* vertex = nullptr;          // (block_count, kBlock) index in the caller's order
 };
+
+// The same in fewer bytes. Heavy are garment nodes that a vertex of the block goes with by more than a byte of units.
 struct NarrowRows {
   NodeRows<std::uint16_t, std::uint8_t> influences;
   NodeRows<std::uint16_t, std::int16_t> heavy_influences;
   NodeRows<std::uint16_t, std::uint8_t> details;
-  const std::int16_t* rest = nullptr;  // in rest_unit, from rest_middle
-  float rest_unit = 0, rest_middle[3] = {};
   const std::uint16_t* vertex = nullptr;
 };
 
 struct SkinningBlocks {
   int vertex_count = 0, block_count = 0;
   bool is_narrow = false;
-  WideRows wide;                   // if not
-  NarrowRows narrow;               // if it is
-  float unit = 1;                  // of garment nodes' weights: matrices are to be multiplied with it before
-  float detail_unit = 0;           // of detail nodes' weights
-  const float* normals = nullptr;  // (block_count, 3, kBlock) at rest
+  WideRows wide;                    // where it is not
+  NarrowRows narrow;                // where it is
+  float unit = 1, detail_unit = 0;  // of garment nodes' and of detail nodes' weights
+  const float* rest = nullptr;      // (block_count, 3, kBlock): x, y, z
+  const float* normals = nullptr;   // (block_count, 3, kBlock) at rest, read only where they are carried along
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no
@@ -166,7 +163,7 @@ struct Kernels {
   DenseKernel dense[kPrecisionCount][2];
 
   // x' = M x and normal' = normalised cofactors(A) normal, with M = [A | c] = sum_k w_k M_k, M_k in matrices (nodes,
-  // 12), multiplied with the weights' unit. A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
+  // 12). A normal becomes zero where A flattens the cloth to a line. offsets: (detail nodes, 3) that are added to x
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 

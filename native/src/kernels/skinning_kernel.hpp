@@ -80,12 +80,6 @@ inline BlendedLanes blend_lanes(const NarrowRows& rows, const float* matrices, i
   return blend;
 }
 
-// kLanes coordinates at rest.
-inline Floats at_rest(const WideRows& rows, std::ptrdiff_t at, int) { return load(rows.rest + at); }
-inline Floats at_rest(const NarrowRows& rows, std::ptrdiff_t at, int coordinate) {
-  return widened(rows.rest + at) * rows.rest_unit + rows.rest_middle[coordinate];
-}
-
 // Where they are at rest, moved by the offsets of the block's detail nodes.
 struct RestLanes {
   Floats of[kTogether][3];
@@ -104,26 +98,28 @@ inline RestLanes rest_lanes(const SkinningBlocks& blocks, const Rows& rows, cons
   }
 #pragma GCC unroll 4
   for (int v = 0; v < kTogether; ++v) {
+    const float* rest = blocks.rest + std::ptrdiff_t(block) * 3 * kBlock + lane + v * kLanes;
     for (int c = 0; c < 3; ++c) {
-      const Floats place = at_rest(rows, (3 * std::ptrdiff_t(block) + c) * kBlock + lane + v * kLanes, c);
+      const Floats place = load(rest + c * kBlock);
       sum.of[v][c] = kDetail ? place + sum.of[v][c] * blocks.detail_unit : place;
     }
   }
   return sum;
 }
 
-// blend: (12), summed matrices of vertices. place: (3), where they are at rest. normal_at_rest: kBlock from a
+// blend: (12), summed matrices of vertices, in `unit`. place: (3), where they are at rest. normal_at_rest: kBlock from a
 // coordinate to the next.
 template <bool kNormals>
-inline SkinnedLanes skin_lanes(const Floats* blend, const Floats* place, const float* normal_at_rest) {
-  const Floats x = place[0], y = place[1], z = place[2];
+inline SkinnedLanes skin_lanes(const Floats* blend, float unit, const Floats* place, const float* normal_at_rest) {
+  const Floats x = place[0] * unit, y = place[1] * unit, z = place[2] * unit;
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
-    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
+    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3] * unit;
   }
   if (!kNormals) return skinned;
-  const Floats nx = load(normal_at_rest), ny = load(normal_at_rest + kBlock), nz = load(normal_at_rest + 2 * kBlock);
+  const Floats nx = load(normal_at_rest) * (unit * unit), ny = load(normal_at_rest + kBlock) * (unit * unit),
+               nz = load(normal_at_rest + 2 * kBlock) * (unit * unit);
   Floats normal[3];  // by the cofactors of the linear part, as surfaces turn when they are sheared or stretched
   for (int r = 0; r < 3; ++r) {
     const Floats* p = blend + 4 * ((r + 1) % 3);
@@ -220,8 +216,8 @@ inline void skin_blocks(const SkinningBlocks& blocks, const Rows& nodes, const f
       const BlendedLanes blend = blend_lanes(nodes, matrices, block, lane);
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
-        write_rows<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + lane + v * kLanes), vertex, rows,
-                             row_bytes);
+        write_rows<kNormals>(skin_lanes<kNormals>(blend.of[v], blocks.unit, rest.of[v], normals + lane + v * kLanes),
+                             vertex, rows, row_bytes);
       }
     }
   }
@@ -231,8 +227,8 @@ inline void skin_blocks(const SkinningBlocks& blocks, const Rows& nodes, const f
 #pragma GCC unroll 4
     for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
       const int from = lane + v * kLanes;
-      write_some<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + from), vertex, left - from, rows,
-                           row_bytes);
+      write_some<kNormals>(skin_lanes<kNormals>(blend.of[v], blocks.unit, rest.of[v], normals + from), vertex,
+                           left - from, rows, row_bytes);
     }
   }
 }
@@ -265,7 +261,7 @@ inline void columns_of(const SkinningBlocks& blocks, const Rows& nodes, const fl
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v) {
         const int from = lane + v * kLanes;
-        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], rest.of[v], normals + from);
+        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], blocks.unit, rest.of[v], normals + from);
         for (int c = 0; c < 6; ++c) store(columns + c * kBlock + from, skinned.column[c]);
       }
     }
