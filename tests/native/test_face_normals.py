@@ -89,7 +89,7 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
     assert (away * length[used] / areas[used]).max() < 2e-6 and used.sum() >= points - 2
 
 
-@pytest.mark.parametrize("vertices", [32767, 32768])
+@pytest.mark.parametrize("vertices", [32768, 32769])
 def test_of_as_many_vertices_as_16_bits_tell_apart_and_of_more(vertices, make_garment):
     rng = np.random.default_rng(43)
     sheet = tube(rings=160, segments=205, radius=0.2)

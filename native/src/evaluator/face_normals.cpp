@@ -57,6 +57,13 @@ std::vector<Ring> rings_of(const SkinningData& g) {
   return rings;
 }
 
+template <class Index, class Given>
+const Index* copy_as(const std::vector<Given>& given, Arena& arena) {
+  auto* target = arena.take<Index>(given.size());
+  std::transform(given.begin(), given.end(), target, [](Given index) { return Index(index); });
+  return target;
+}
+
 // Neighbours that a ring takes in its group.
 std::size_t steps(const Ring& ring) { return (ring.size() + 1) / 2 * 2; }
 
@@ -88,15 +95,12 @@ FaceNormals::FaceNormals(const SkinningData& g, const Kernels& kernels, Arena& a
   }
   place_of_ = arena.copy(place_of.data(), place_of.size());
   rings_.group_count = int(order.size() / kRingGroup);
-  rings_.vertex = arena.copy(order.data(), order.size());
   rings_.start = arena.copy(start.data(), start.size());
   rings_.places = arena.take<float>(4 * order.size());
-  if (2 * order.size() <= UINT16_MAX) {
-    auto* near = arena.take<std::uint16_t>(neighbours.size());
-    std::transform(neighbours.begin(), neighbours.end(), near, [](std::uint32_t at) { return std::uint16_t(at); });
-    rings_.near_neighbour = near;
+  if (2 * (order.size() - 1) <= UINT16_MAX) {
+    rings_.narrow = {copy_as<std::uint16_t>(order, arena), copy_as<std::uint16_t>(neighbours, arena)};
   } else {
-    rings_.neighbour = arena.copy(neighbours.data(), neighbours.size());
+    rings_.wide = {copy_as<std::uint32_t>(order, arena), copy_as<std::uint32_t>(neighbours, arena)};
   }
 }
 

@@ -65,16 +65,20 @@ struct VertexRows {
 // shorter rings of a group repeat their last neighbour. Neither adds a face that has an area. Lengths are even.
 constexpr int kRingGroup = 16;
 
-struct FaceRings {
-  int group_count = 0;
+template <class Index>
+struct RingIndices {
   // (group_count, kRingGroup) in the caller's order. Where vertices do not fill the groups, the first one is there more
   // than once: only its last place holds its position, and is written after the others.
-  const std::int32_t* vertex = nullptr;
-  const std::int32_t* start = nullptr;  // (group_count + 1,) into the next
-  // (steps, kRingGroup) where its place begins [8 bytes]: in 16 bits, or, where there are too many places, in 32.
-  const std::uint16_t* near_neighbour = nullptr;
-  const std::uint32_t* neighbour = nullptr;
-  float* places = nullptr;  // (group_count, kRingGroup, 4) positions in order of `vertex`
+  const Index* vertex = nullptr;
+  const Index* neighbour = nullptr;  // (steps, kRingGroup) where its place begins [8 bytes]
+};
+
+struct FaceRings {
+  int group_count = 0;
+  const std::int32_t* start = nullptr;  // (group_count + 1,) of steps
+  RingIndices<std::uint16_t> narrow;    // where they fit, or else
+  RingIndices<std::uint32_t> wide;
+  float* places = nullptr;  // (group_count, kRingGroup, 4) positions in order of the vertices
 };
 
 // The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.

@@ -59,8 +59,8 @@ inline Floats ring_areas(const float* places, const Index* ring, int length) {
   return area;
 }
 
-template <int kFour>
-inline void write_row(Floats yz_and_x, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+template <int kFour, class Index>
+inline void write_row(Floats yz_and_x, const float* place, const Index* vertex, const VertexRows& rows,
                       std::ptrdiff_t row_bytes) {
   const Quad normal = four_lanes<kFour>(yz_and_x), own = *reinterpret_cast<const Quad*>(place + 4 * kFour);
   const Quad first = __builtin_shufflevector(own, normal, 0, 1, 2, 7);
@@ -70,7 +70,8 @@ inline void write_row(Floats yz_and_x, const float* place, const std::int32_t* v
 }
 
 // Of kLanes vertices, kFours in each register.
-inline void write_normals(const Floats* areas, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+template <class Index>
+inline void write_normals(const Floats* areas, const float* place, const Index* vertex, const VertexRows& rows,
                           std::ptrdiff_t row_bytes) {
   Floats square[4];
   for (int k = 0; k < 4; ++k) square[k] = areas[k] * areas[k];
@@ -96,9 +97,9 @@ inline void write_normals(const Floats* areas, const float* place, const std::in
 
 // kLength: of the rings, or 0 to take it from `length`.
 template <int kLength, class Index>
-inline void write_group(const FaceRings& rings, const Index* neighbours, int group, int length, const VertexRows& rows,
-                        std::ptrdiff_t row_bytes) {
-  const Index* ring = neighbours + std::ptrdiff_t(rings.start[group]) * kRingGroup;
+inline void write_group(const FaceRings& rings, const RingIndices<Index>& indices, int group, int length,
+                        const VertexRows& rows, std::ptrdiff_t row_bytes) {
+  const Index* ring = indices.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
   const std::ptrdiff_t first = std::ptrdiff_t(group) * kRingGroup;
   for (int lane = 0; lane < kRingGroup; lane += kLanes) {
     Floats areas[4];
@@ -106,27 +107,26 @@ inline void write_group(const FaceRings& rings, const Index* neighbours, int gro
     for (int k = 0; k < 4; ++k) {
       areas[k] = ring_areas(rings.places, ring + lane + k * kFours, kLength > 0 ? kLength : length);
     }
-    write_normals(areas, rings.places + 4 * (first + lane), rings.vertex + first + lane, rows, row_bytes);
+    write_normals(areas, rings.places + 4 * (first + lane), indices.vertex + first + lane, rows, row_bytes);
   }
 }
 
 template <class Index>
-inline void write_groups(const FaceRings& rings, const Index* neighbours, const VertexRows& rows) {
+inline void write_groups(const FaceRings& rings, const RingIndices<Index>& indices, const VertexRows& rows) {
   const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
   for (int group = 0; group < rings.group_count; ++group) {
     const int length = rings.start[group + 1] - rings.start[group];
     if (length == 6) {  // most of a mesh
-      write_group<6>(rings, neighbours, group, length, rows, row_bytes);
+      write_group<6>(rings, indices, group, length, rows, row_bytes);
     } else {
-      write_group<0>(rings, neighbours, group, length, rows, row_bytes);
+      write_group<0>(rings, indices, group, length, rows, row_bytes);
     }
   }
 }
 
 // Copies, as rows are bytes, which what they are written from could be, too.
 inline void ring_normals(FaceRings rings, VertexRows rows) {
-  rings.near_neighbour != nullptr ? write_groups(rings, rings.near_neighbour, rows)
-                                  : write_groups(rings, rings.neighbour, rows);
+  rings.narrow.vertex != nullptr ? write_groups(rings, rings.narrow, rows) : write_groups(rings, rings.wide, rows);
 }
 
 }  // namespace physkin::PHYSKIN_ISA
