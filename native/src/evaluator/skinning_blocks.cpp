@@ -332,7 +332,8 @@ void pack_wide(const SkinningData& g, const std::vector<std::int32_t>& order, Sk
 bool pack_narrow(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
   constexpr int kMost = 1 << 16;
   const int detail_influences = g.has_detail() ? g.detail_influences : 0;
-  if (g.vertex_count > kMost || 12 * std::int64_t(g.nodes) > kMost || (g.has_detail() && g.detail_numbers > kMost)) {
+  if (g.vertex_count > kMost - kRingGroup || 12 * std::int64_t(g.nodes) > kMost ||
+      (g.has_detail() && g.detail_numbers > kMost)) {
     return false;
   }
   const auto weights = in_steps(g.influence_weights, g.vertex_count, g.influences, kSteps);
