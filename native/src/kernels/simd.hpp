@@ -55,6 +55,11 @@ inline Floats widened(const std::int16_t* integers) {
 }
 
 inline Floats widened(const std::uint8_t* bytes) {
+#if defined(__aarch64__)
+  std::uint32_t four;
+  __builtin_memcpy(&four, bytes, sizeof four);
+  return (Floats)vcvtq_f32_u32(vmovl_u16(vget_low_u16(vmovl_u8(vcreate_u8(four)))));
+#else
 #if defined(__AVX512F__)
   const __m128i from = _mm_loadu_si128(reinterpret_cast<const __m128i*>(bytes));
   const Ints words = (Ints)_mm512_maskz_cvtepu8_epi32(0xffff, from);
@@ -65,6 +70,7 @@ inline Floats widened(const std::uint8_t* bytes) {
   const Ints words = __builtin_convertvector(*reinterpret_cast<const Bytes*>(bytes), Ints);
 #endif
   return __builtin_convertvector(words, Floats);
+#endif
 }
 
 // The comparisons below keep a NaN in v: a non-finite value must reach the output check, not turn into a limit.
