@@ -94,7 +94,16 @@ def test_a_node_may_be_listed_twice(of, make_garment, make_pose):
 
 @pytest.mark.parametrize(
     "vertices, nodes, detail_nodes",
-    [(65520, 6, 40), (65521, 6, 40), (65536, 6, 40), (65537, 6, 40), (200, 5461, 40), (200, 5462, 40), (200, 6, 21845), (200, 6, 21846)],
+    [
+        (65520, 6, 40),
+        (65521, 6, 40),
+        (65536, 6, 40),
+        (65537, 6, 40),
+        (200, 5461, 40),
+        (200, 5462, 40),
+        (200, 6, 21845),
+        (200, 6, 21846),
+    ],
 )
 def test_as_many_parts_as_16_bits_tell_apart_and_more(vertices, nodes, detail_nodes, make_garment, make_pose):
     """Vertices go with the last nodes, and are put into places from which normals are computed, in groups of 16."""
