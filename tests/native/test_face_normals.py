@@ -89,6 +89,19 @@ def test_faces_go_round_a_vertex_in_any_number(points, level, make_garment, make
     assert (away * length[used] / areas[used]).max() < 2e-6 and used.sum() >= points - 2
 
 
+@pytest.mark.parametrize("vertices", [32768, 32769])
+def test_of_as_many_vertices_as_16_bits_tell_apart_and_of_more(vertices, make_garment):
+    rng = np.random.default_rng(43)
+    sheet = tube(rings=160, segments=205, radius=0.2)
+    faces = sheet.faces[(sheet.faces < vertices).all(axis=1)].astype(np.int32)
+    garment = make_garment(rng, nodes=1, influences=1, vertices=vertices)
+    garment = replace(garment, vertices=sheet.vertices[:vertices].astype(np.float32), faces=faces)
+    still = np.concatenate([np.eye(3, dtype=np.float32)[None], garment.node_rest[:, :, None]], axis=2)
+    out = np.empty((vertices, 6), dtype=np.float32)
+    Skinner(garment).skin(still, out)
+    assert np.abs(out[:, 3:] - vertex_normals(out[:, :3].astype(np.float64), faces)).max() < 2e-3
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_detail_turns_them(level, make_garment, make_pose, monkeypatch):
     """Rest normals, which are carried along without faces, know nothing of folds. Positions are the same; so is what is

@@ -58,6 +58,13 @@ std::vector<Ring> rings_of(const SkinningData& g) {
   return rings;
 }
 
+template <class Index, class Given>
+const Index* copy_as(const std::vector<Given>& given, Arena& arena) {
+  auto* target = arena.take<Index>(given.size());
+  std::transform(given.begin(), given.end(), target, [](Given index) { return Index(index); });
+  return target;
+}
+
 // Neighbours that a ring takes in its group.
 std::size_t steps(const Ring& ring) { return (ring.size() + 1) / 2 * 2; }
 
@@ -84,7 +91,7 @@ PackedRings pack_rings(const SkinningData& g, Arena& arena) {
     for (std::size_t step = 0; step < steps(rings[order[first + kRingGroup - 1]]); ++step) {
       for (int k = 0; k < kRingGroup; ++k) {
         const Ring& ring = rings[order[first + k]];
-        neighbours.push_back(std::uint32_t(place_of[ring[std::min(step, ring.size() - 1)]]) * (4 * sizeof(float)));
+        neighbours.push_back(2 * std::uint32_t(place_of[ring[std::min(step, ring.size() - 1)]]));
       }
     }
     start.push_back(std::int32_t(neighbours.size() / kRingGroup));
@@ -93,9 +100,12 @@ PackedRings pack_rings(const SkinningData& g, Arena& arena) {
   packed.place_of = arena.copy(place_of.data(), place_of.size());
   arena.leave_out(place_of.size() * sizeof(std::int32_t));  // only a frame in which others move vertices reads it
   packed.rings.group_count = int(order.size() / kRingGroup);
-  packed.rings.vertex = arena.copy(order.data(), order.size());
   packed.rings.start = arena.copy(start.data(), start.size());
-  packed.rings.neighbour = arena.copy(neighbours.data(), neighbours.size());
+  if (2 * (order.size() - 1) <= UINT16_MAX) {
+    packed.rings.narrow = {copy_as<std::uint16_t>(order, arena), copy_as<std::uint16_t>(neighbours, arena)};
+  } else {
+    packed.rings.wide = {copy_as<std::uint32_t>(order, arena), copy_as<std::uint32_t>(neighbours, arena)};
+  }
   return packed;
 }
 

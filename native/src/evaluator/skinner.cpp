@@ -22,12 +22,17 @@ Skinner::Skinner(const SkinningData& data, const Kernels& kernels, Arena& arena)
     const std::size_t before = arena.touched(), lanes = std::size_t(blocks_.block_count) * kBlock;
     face_normals_.emplace(data, kernels, arena);
     normals_bytes_ = arena.touched() - before;
-    auto* places = arena.take<std::int32_t>(lanes);
-    for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(blocks_.vertex[i]);
     blocks_into_places_ = blocks_;
-    blocks_into_places_.vertex = places;
+    const auto into_places = [&](auto& rows) {
+      auto* places = arena.copy(rows.vertex, lanes);
+      for (int i = 0; i < data.vertex_count; ++i) places[i] = face_normals_->place_of(rows.vertex[i]);
+      rows.vertex = places;
+      return lanes * sizeof(*places);
+    };
+    const std::size_t of_order =
+        blocks_.is_narrow ? into_places(blocks_into_places_.narrow) : into_places(blocks_into_places_.wide);
     // Only a frame in which others move vertices reads the order and normals of blocks_.
-    arena.leave_out(lanes * (sizeof(std::int32_t) + 3 * sizeof(float)));
+    arena.leave_out(of_order + lanes * 3 * sizeof(float));
   }
 }
 

@@ -12,7 +12,8 @@
 namespace physkin {
 
 // Packs a garment's vertices for the kernel (skinning_blocks.cpp): in blocks that go with few nodes, or, where others count
-// on their order, as they are given.
+// on their order, as they are given. In narrow rows where nothing is lost: where garment nodes' weights are whole 1/4095
+// and detail nodes' whole 1/511, as model files hold them.
 enum class BlockOrder { kFewNodes, kAsGiven };
 SkinningBlocks pack_skinning_blocks(const SkinningData& data, Arena& arena, BlockOrder order = BlockOrder::kFewNodes);
 

@@ -7,6 +7,8 @@
 #include <limits>
 #include <map>
 #include <numeric>
+#include <optional>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -44,11 +46,6 @@ struct Block {
   std::vector<std::int32_t> vertices;
   NodeSet nodes;                  // of the vertices, all together
   std::array<int, 4> loops = {};  // garment nodes and detail nodes of all, and both of the first half
-};
-
-// Whether a node is one of the first half of a block's vertices, and of the second.
-struct Halves {
-  bool in[2] = {};
 };
 
 // Vertices that a block is chosen from: the work of packing grows with it, the unions hardly shrink beyond.
@@ -176,62 +173,119 @@ struct PackedNodes {
   std::vector<float> weights;
 };
 
-// order: vertices, block by block. at_least_one: a half has a node even if none has a weight there.
-PackedNodes pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, bool at_least_one) {
-  PackedNodes packed;
+struct Packed {
+  PackedNodes light, heavy;
+};
+
+struct NodeRow {
+  std::int32_t node;
+  std::array<float, kBlock> weights;
+
+  float heaviest() const { return *std::max_element(weights.begin(), weights.end()); }
+  NodeRow up_to(float most) const {
+    NodeRow row = *this;
+    for (float& weight : row.weights) weight = std::min(weight, most);
+    return row;
+  }
+  NodeRow beyond(float most) const {
+    NodeRow row = *this;
+    for (float& weight : row.weights) weight -= std::min(weight, most);
+    return row;
+  }
+  bool in(int half) const {
+    const auto first = weights.begin() + half * kHalf;
+    return std::any_of(first, first + kHalf, [](float weight) { return weight != 0; });
+  }
+};
+
+// Of vertices that lie in one block, in order of the nodes.
+std::vector<NodeRow> rows_of(const Influences& of, const std::int32_t* vertices, std::size_t count) {
+  std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
+  for (std::size_t lane = 0; lane < count; ++lane) {
+    const std::size_t at = std::size_t(vertices[lane]) * std::size_t(of.count);
+    // A node may be listed twice.
+    for (int k = 0; k < of.count; ++k) of_nodes[of.nodes[at + k]][lane] += of.weights[at + k];
+  }
+  std::vector<NodeRow> rows;
+  for (const auto& [node, weights] : of_nodes) rows.push_back({node, weights});
+  return rows;
+}
+
+void add_block(PackedNodes& packed, const std::vector<NodeRow>& rows) {
+  const auto now = [&] { return std::int32_t(packed.nodes.size()); };
+  const auto add = [&](bool in_first, bool in_second) {
+    for (const NodeRow& row : rows) {
+      if (row.in(0) != in_first || row.in(1) != in_second) continue;
+      packed.nodes.push_back(row.node);
+      packed.weights.insert(packed.weights.end(), row.weights.begin(), row.weights.end());
+    }
+  };
+  NodeRange first{now(), 0}, second{};
+  add(true, false);
+  second.begin = now();
+  add(true, true);
+  first.end = now();
+  add(false, true);
+  second.end = now();
+  packed.halves.insert(packed.halves.end(), {first, second});
+}
+
+// What to do with nodes that a vertex of the block goes with by more than `most`: they are heavy, or have another row for
+// what is beyond.
+enum class Beyond { kHeavy, kAnotherRow };
+
+// order: vertices, block by block.
+Packed pack_nodes(const Influences& of, const std::vector<std::int32_t>& order, float most = FLT_MAX,
+                  Beyond beyond = Beyond::kHeavy) {
+  Packed packed;
   for (std::size_t first = 0; first < order.size(); first += kBlock) {
-    const std::size_t count = std::min<std::size_t>(kBlock, order.size() - first);
-    std::map<std::int32_t, std::array<float, kBlock>> of_nodes;
-    std::map<std::int32_t, Halves> halves;
-    for (std::size_t lane = 0; lane < count; ++lane) {
-      const std::size_t at = std::size_t(order[first + lane]) * std::size_t(of.count);
-      for (int k = 0; k < of.count; ++k) {
-        const float weight = of.weights[at + k];
-        if (weight == 0.0f) continue;
-        of_nodes[of.nodes[at + k]][lane] += weight;  // a node may be listed twice
-        halves[of.nodes[at + k]].in[lane / kHalf] = true;
+    std::vector<NodeRow> light, heavy;
+    for (NodeRow row : rows_of(of, order.data() + first, std::min<std::size_t>(kBlock, order.size() - first))) {
+      if (beyond == Beyond::kHeavy && row.heaviest() > most) {
+        heavy.push_back(row);
+        continue;
       }
+      for (; row.heaviest() > most; row = row.beyond(most)) light.push_back(row.up_to(most));
+      light.push_back(row);
     }
-    if (at_least_one && of_nodes.empty()) of_nodes[0] = {};
-    const auto start = std::int32_t(packed.nodes.size());
-    std::int32_t begin[2] = {start, start}, end[2] = {start, start};
-    for (const Halves wanted : {Halves{{true, false}}, Halves{{true, true}}, Halves{{false, true}}, Halves{}}) {
-      for (const auto& [node, weights] : of_nodes) {
-        const Halves found = halves[node];
-        if (found.in[0] != wanted.in[0] || found.in[1] != wanted.in[1]) continue;
-        packed.nodes.push_back(node);
-        packed.weights.insert(packed.weights.end(), weights.begin(), weights.end());
-      }
-      const auto now = std::int32_t(packed.nodes.size());
-      if (wanted.in[0]) end[0] = now;
-      if (!wanted.in[1] && wanted.in[0]) begin[1] = now;
-      if (wanted.in[1]) end[1] = now;
-    }
-    for (int half = 0; half < 2; ++half) {
-      if (end[half] <= begin[half]) {
-        begin[half] = at_least_one ? std::int32_t(packed.nodes.size()) - 1 : begin[half];
-        end[half] = begin[half] + at_least_one;
-      }
-      packed.halves.push_back({begin[half], end[half]});
-    }
+    add_block(packed.light, light);
+    add_block(packed.heavy, heavy);
   }
   return packed;
 }
 
-// In 16 bits.
-const std::int16_t* rounded(const std::vector<float>& weights, float unit, Arena& arena) {
-  auto* integers = arena.take<std::int16_t>(weights.size());
-  std::transform(weights.begin(), weights.end(), integers,
-                 [&](float weight) { return std::int16_t(std::lround(weight / unit)); });
-  return integers;
+// stride: from a node's matrix or offset to the next one's [floats]. unit: of whole weights.
+template <class Start, class Weight>
+NodeRows<Start, Weight> in_rows(const PackedNodes& packed, int stride, float unit, Arena& arena) {
+  auto* start = arena.take<Start>(packed.nodes.size());
+  auto* weight = arena.take<Weight>(packed.weights.size());
+  std::transform(packed.nodes.begin(), packed.nodes.end(), start, [&](int node) { return Start(node * stride); });
+  std::transform(packed.weights.begin(), packed.weights.end(), weight, [&](float given) {
+    return std::is_integral_v<Weight> ? Weight(std::lround(given / unit)) : Weight(given);
+  });
+  return {arena.copy(packed.halves.data(), packed.halves.size()), start, weight};
 }
 
-// What body wears them matters to the rest shape of blocks alone, which is left out here.
-SkinningBlocks pack_influences(const SkinningData& g, BlockOrder wanted, Arena& arena) {
-  SkinningBlocks blocks;
-  blocks.vertex_count = g.vertex_count;
-  blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
+// Steps to one of garment nodes' and of detail nodes' weights, as model files hold them.
+constexpr int kSteps = 4095, kDetailSteps = 511;
 
+// Weights of each vertex as whole numbers of so many steps to one: no vector where they are not, but for how floats are
+// rounded, or sum to more.
+std::optional<std::vector<float>> in_steps(const float* weights, int vertices, int count, int steps) {
+  constexpr float kRounding = 1.0f / 256;
+  std::vector<float> whole;
+  for (const float *row = weights, *end = row + std::ptrdiff_t(vertices) * count; row != end; row += count) {
+    float sum = 0;
+    for (int k = 0; k < count; ++k) {
+      const float exact = row[k] * float(steps), step = std::round(exact);
+      if (!(exact >= 0) || !(std::fabs(exact - step) < kRounding) || (sum += step) > float(steps)) return {};
+      whole.push_back(step);
+    }
+  }
+  return whole;
+}
+
+std::vector<std::int32_t> order_of_blocks(const SkinningData& g, BlockOrder wanted) {
   std::vector<std::int32_t> order;
   if (wanted == BlockOrder::kAsGiven) {
     order.resize(std::size_t(g.vertex_count));
@@ -241,24 +295,60 @@ SkinningBlocks pack_influences(const SkinningData& g, BlockOrder wanted, Arena& 
       order.insert(order.end(), block.vertices.begin(), block.vertices.end());
     }
   }
-  auto* vertex = arena.take<std::int32_t>(std::size_t(blocks.block_count) * kBlock);
-  std::copy(order.begin(), order.end(), vertex);
-  blocks.vertex = vertex;
+  return order;
+}
 
-  PackedNodes nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order, true);
-  for (std::int32_t& node : nodes.nodes) node *= 12;
-  blocks.influences = arena.copy(nodes.halves.data(), nodes.halves.size());
-  blocks.influence_matrix = arena.copy(nodes.nodes.data(), nodes.nodes.size());
-  blocks.influence_weight = arena.copy(nodes.weights.data(), nodes.weights.size());
-  if (!g.has_detail()) return blocks;
-  PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order, false);
-  for (std::int32_t& node : details.nodes) node *= 3;
+template <class Index>
+const Index* indices(const std::vector<std::int32_t>& order, int block_count, Arena& arena) {
+  auto* target = arena.take<Index>(std::size_t(block_count) * kBlock);
+  std::transform(order.begin(), order.end(), target, [](std::int32_t vertex) { return Index(vertex); });
+  return target;
+}
+
+void pack_wide(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
+  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, g.influence_weights}, order);
+  blocks.wide.influences = in_rows<std::int32_t, float>(nodes.light, 12, 1, arena);
+  blocks.wide.vertex = indices<std::int32_t>(order, blocks.block_count, arena);
+  if (!g.has_detail()) return;
+  const PackedNodes details = pack_nodes({g.detail_influences, g.detail_nodes, g.detail_weights}, order).light;
   const float largest = std::accumulate(details.weights.begin(), details.weights.end(), FLT_MIN,
                                         [](float so_far, float weight) { return std::max(so_far, std::fabs(weight)); });
-  blocks.details = arena.copy(details.halves.data(), details.halves.size());
-  blocks.detail_offset = arena.copy(details.nodes.data(), details.nodes.size());
   blocks.detail_unit = largest / float(INT16_MAX);
-  blocks.detail_weight = rounded(details.weights, blocks.detail_unit, arena);
+  blocks.wide.details = in_rows<std::int32_t, std::int16_t>(details, 3, blocks.detail_unit, arena);
+}
+
+// False, and nothing packed, where weights are no whole steps, or indices too large.
+bool pack_narrow(const SkinningData& g, const std::vector<std::int32_t>& order, SkinningBlocks& blocks, Arena& arena) {
+  constexpr int kMost = 1 << 16;
+  const int detail_influences = g.has_detail() ? g.detail_influences : 0;
+  if (g.vertex_count > kMost - kRingGroup || 12 * std::int64_t(g.nodes) > kMost ||
+      (g.has_detail() && g.detail_numbers > kMost)) {
+    return false;
+  }
+  const auto weights = in_steps(g.influence_weights, g.vertex_count, g.influences, kSteps);
+  const auto details = in_steps(g.detail_weights, g.vertex_count, detail_influences, kDetailSteps);
+  if (!weights || !details) return false;
+  const Packed nodes = pack_nodes({g.influences, g.influence_nodes, weights->data()}, order, UINT8_MAX);
+  blocks.unit = 1.0f / kSteps;
+  blocks.narrow.heavy_influences = in_rows<std::uint16_t, std::int16_t>(nodes.heavy, 12, 1, arena);
+  blocks.narrow.influences = in_rows<std::uint16_t, std::uint8_t>(nodes.light, 12, 1, arena);
+  blocks.narrow.vertex = indices<std::uint16_t>(order, blocks.block_count, arena);
+  if (!g.has_detail()) return true;
+  const Packed of_details =
+      pack_nodes({detail_influences, g.detail_nodes, details->data()}, order, UINT8_MAX, Beyond::kAnotherRow);
+  blocks.detail_unit = 1.0f / kDetailSteps;
+  blocks.narrow.details = in_rows<std::uint16_t, std::uint8_t>(of_details.light, 3, 1, arena);
+  return true;
+}
+
+// What body wears them matters to the rest shape of blocks alone, which is left out here.
+SkinningBlocks pack_influences(const SkinningData& g, BlockOrder wanted, Arena& arena) {
+  SkinningBlocks blocks;
+  blocks.vertex_count = g.vertex_count;
+  blocks.block_count = (g.vertex_count + kBlock - 1) / kBlock;
+  const std::vector<std::int32_t> order = order_of_blocks(g, wanted);
+  blocks.is_narrow = pack_narrow(g, order, blocks, arena);
+  if (!blocks.is_narrow) pack_wide(g, order, blocks, arena);
   return blocks;
 }
 
@@ -278,21 +368,24 @@ SkinningBlocks pack_influences_once(const SkinningData& g, Arena& arena) {
                                    [&](Arena& own) { return pack_influences(g, BlockOrder::kFewNodes, own); });
 }
 
+// (blocks, 3, kBlock) of points (vertices, 3), or zeros.
+const float* in_blocks(const float* points, const SkinningBlocks& blocks, Arena& arena) {
+  auto* columns = arena.take<float>(std::size_t(blocks.block_count) * 3 * kBlock);
+  for (int i = 0; points != nullptr && i < blocks.vertex_count; ++i) {
+    const std::size_t vertex = blocks.is_narrow ? blocks.narrow.vertex[i] : std::size_t(blocks.wide.vertex[i]);
+    for (int c = 0; c < 3; ++c)
+      columns[(i / kBlock * 3 + c) * kBlock + i % kBlock] = points[3 * vertex + std::size_t(c)];
+  }
+  return columns;
+}
+
 }  // namespace
 
 SkinningBlocks pack_skinning_blocks(const SkinningData& g, Arena& arena, BlockOrder wanted) {
   SkinningBlocks blocks =
       wanted == BlockOrder::kFewNodes ? pack_influences_once(g, arena) : pack_influences(g, wanted, arena);
-  auto* rest = arena.take<float>(std::size_t(blocks.block_count) * 6 * kBlock);
-  for (int i = 0; i < g.vertex_count; ++i) {
-    const int block = i / kBlock, lane = i % kBlock;
-    const std::size_t v = std::size_t(blocks.vertex[i]);
-    for (int c = 0; c < 3; ++c) {
-      rest[(std::size_t(block) * 6 + c) * kBlock + lane] = g.vertices[3 * v + c];
-      rest[(std::size_t(block) * 6 + 3 + c) * kBlock + lane] = g.normals == nullptr ? 0.0f : g.normals[3 * v + c];
-    }
-  }
-  blocks.rest = rest;
+  blocks.rest = in_blocks(g.vertices, blocks, arena);
+  blocks.normals = in_blocks(g.normals, blocks, arena);
   return blocks;
 }
 

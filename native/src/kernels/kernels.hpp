@@ -19,18 +19,36 @@ struct NodeRange {
   std::int32_t begin, end;
 };
 
+// Nodes of the blocks, a row each, and the weights of a block's vertices.
+template <class Start, class Weight>
+struct NodeRows {
+  const NodeRange* halves = nullptr;  // (block_count, 2) of each half into the next two
+  const Start* start = nullptr;       // (rows,) where a node's matrix or offset starts [floats]
+  const Weight* weight = nullptr;     // (rows, kBlock) in units, zeros beyond vertex_count
+};
+
+struct WideRows {
+  NodeRows<std::int32_t, float> influences;
+  NodeRows<std::int32_t, std::int16_t> details;  // none without detail
+  const std::int32_t* vertex = nullptr;          // (block_count, kBlock) index in the caller's order
+};
+
+// The same in fewer bytes. Heavy are garment nodes that a vertex of the block goes with by more than a byte of units.
+struct NarrowRows {
+  NodeRows<std::uint16_t, std::uint8_t> influences;
+  NodeRows<std::uint16_t, std::int16_t> heavy_influences;
+  NodeRows<std::uint16_t, std::uint8_t> details;
+  const std::uint16_t* vertex = nullptr;
+};
+
 struct SkinningBlocks {
   int vertex_count = 0, block_count = 0;
-  const NodeRange* influences = nullptr;           // (block_count, 2) of each half into the next two, at least one
-  const std::int32_t* influence_matrix = nullptr;  // (influences,) where a garment node's matrix starts
-  const float* influence_weight = nullptr;         // (influences, kBlock), zeros beyond vertex_count
-  const float* rest = nullptr;                     // (block_count, 6, kBlock): x, y, z, normal x, y, z
-  const std::int32_t* vertex = nullptr;            // (block_count, kBlock) index in the caller's order
-  // The same of detail nodes, or none: those of a block, where their offsets start, and weights of its vertices.
-  const NodeRange* details = nullptr;           // (block_count, 2)
-  const std::int32_t* detail_offset = nullptr;  // (detail influences,)
-  const std::int16_t* detail_weight = nullptr;  // (detail influences, kBlock) in detail_unit: half as much to read
-  float detail_unit = 0;
+  bool is_narrow = false;
+  WideRows wide;                    // where it is not
+  NarrowRows narrow;                // where it is
+  float unit = 1, detail_unit = 0;  // of garment nodes' and of detail nodes' weights
+  const float* rest = nullptr;      // (block_count, 3, kBlock): x, y, z
+  const float* normals = nullptr;   // (block_count, 3, kBlock) at rest, read only where they are carried along
 };
 
 // Where vertices go: a row of floats each, x y z or x y z nx ny nz, `stride` floats from row to row. Rows need no
@@ -47,14 +65,20 @@ struct VertexRows {
 // shorter rings of a group repeat their last neighbour. Neither adds a face that has an area. Lengths are even.
 constexpr int kRingGroup = 16;
 
-struct FaceRings {
-  int group_count = 0;
+template <class Index>
+struct RingIndices {
   // (group_count, kRingGroup) in the caller's order. Where vertices do not fill the groups, the first one is there more
   // than once: only its last place holds its position, and is written after the others.
-  const std::int32_t* vertex = nullptr;
-  const std::int32_t* start = nullptr;       // (group_count + 1,) into the next
-  const std::uint32_t* neighbour = nullptr;  // (steps, kRingGroup) where its place begins [bytes]
-  float* places = nullptr;                   // (group_count, kRingGroup, 4) positions in order of `vertex`
+  const Index* vertex = nullptr;
+  const Index* neighbour = nullptr;  // (steps, kRingGroup) where its place begins [8 bytes]
+};
+
+struct FaceRings {
+  int group_count = 0;
+  const std::int32_t* start = nullptr;  // (group_count + 1,) of steps
+  RingIndices<std::uint16_t> narrow;    // where they fit, or else
+  RingIndices<std::uint32_t> wide;
+  float* places = nullptr;  // (group_count, kRingGroup, 4) positions in order of the vertices
 };
 
 // The body encoder works on tiles of kTokens tokens, feature by feature: tile[feature][kTokens], 64-byte aligned.

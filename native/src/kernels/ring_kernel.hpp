@@ -19,12 +19,11 @@ static_assert(kRingGroup % kLanes == 0);
 constexpr float kUpwards = 1e-18f;
 
 // Of kFours vertices.
-inline Floats places_at(const float* places, const std::uint32_t* at) {
-  const auto one = [places](std::uint32_t bytes) {
-    return reinterpret_cast<const float*>(reinterpret_cast<const char*>(places) + bytes);
-  };
+template <class Index>
+inline Floats places_at(const float* places, const Index* at) {
+  const auto one = [places](Index place) { return places + 2 * std::size_t(place); };
 #if defined(__AVX2__)
-  const auto two = [one](const std::uint32_t* from) {
+  const auto two = [one](const Index* from) {
     return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(one(from[0]))), _mm_load_ps(one(from[1])), 1);
   };
 #endif
@@ -44,7 +43,8 @@ inline Floats turned(Floats v) { return turned_fours<1, 2, 0, 3>(v); }
 // Twice the areas within the rings of kFours vertices, not turned yet. They are the sum of cross products of neighbours
 // that follow each other, or of every other one with the step between the two beside it; and from any point, such as the
 // first neighbour, whose product then vanishes.
-inline Floats ring_areas(const float* places, const std::uint32_t* ring, int length) {
+template <class Index>
+inline Floats ring_areas(const float* places, const Index* ring, int length) {
   const Floats corner = places_at(places, ring);
   Floats before = places_at(places, ring + kRingGroup);
   Floats area = shuffle_fours<kLanes, 0, 0, 0>(Floats{}, Floats{} + kUpwards);
@@ -59,8 +59,8 @@ inline Floats ring_areas(const float* places, const std::uint32_t* ring, int len
   return area;
 }
 
-template <int kFour>
-inline void write_row(Floats yz_and_x, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+template <int kFour, class Index>
+inline void write_row(Floats yz_and_x, const float* place, const Index* vertex, const VertexRows& rows,
                       std::ptrdiff_t row_bytes) {
   const Quad normal = four_lanes<kFour>(yz_and_x), own = *reinterpret_cast<const Quad*>(place + 4 * kFour);
   const Quad first = __builtin_shufflevector(own, normal, 0, 1, 2, 7);
@@ -70,7 +70,8 @@ inline void write_row(Floats yz_and_x, const float* place, const std::int32_t* v
 }
 
 // Of kLanes vertices, kFours in each register.
-inline void write_normals(const Floats* areas, const float* place, const std::int32_t* vertex, const VertexRows& rows,
+template <class Index>
+inline void write_normals(const Floats* areas, const float* place, const Index* vertex, const VertexRows& rows,
                           std::ptrdiff_t row_bytes) {
   Floats square[4];
   for (int k = 0; k < 4; ++k) square[k] = areas[k] * areas[k];
@@ -95,10 +96,10 @@ inline void write_normals(const Floats* areas, const float* place, const std::in
 }
 
 // kLength: of the rings, or 0 to take it from `length`.
-template <int kLength>
-inline void write_group(const FaceRings& rings, int group, int length, const VertexRows& rows,
-                        std::ptrdiff_t row_bytes) {
-  const std::uint32_t* ring = rings.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
+template <int kLength, class Index>
+inline void write_group(const FaceRings& rings, const RingIndices<Index>& indices, int group, int length,
+                        const VertexRows& rows, std::ptrdiff_t row_bytes) {
+  const Index* ring = indices.neighbour + std::ptrdiff_t(rings.start[group]) * kRingGroup;
   const std::ptrdiff_t first = std::ptrdiff_t(group) * kRingGroup;
   for (int lane = 0; lane < kRingGroup; lane += kLanes) {
     Floats areas[4];
@@ -106,21 +107,26 @@ inline void write_group(const FaceRings& rings, int group, int length, const Ver
     for (int k = 0; k < 4; ++k) {
       areas[k] = ring_areas(rings.places, ring + lane + k * kFours, kLength > 0 ? kLength : length);
     }
-    write_normals(areas, rings.places + 4 * (first + lane), rings.vertex + first + lane, rows, row_bytes);
+    write_normals(areas, rings.places + 4 * (first + lane), indices.vertex + first + lane, rows, row_bytes);
+  }
+}
+
+template <class Index>
+inline void write_groups(const FaceRings& rings, const RingIndices<Index>& indices, const VertexRows& rows) {
+  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
+  for (int group = 0; group < rings.group_count; ++group) {
+    const int length = rings.start[group + 1] - rings.start[group];
+    if (length == 6) {  // most of a mesh
+      write_group<6>(rings, indices, group, length, rows, row_bytes);
+    } else {
+      write_group<0>(rings, indices, group, length, rows, row_bytes);
+    }
   }
 }
 
 // Copies, as rows are bytes, which what they are written from could be, too.
 inline void ring_normals(FaceRings rings, VertexRows rows) {
-  const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
-  for (int group = 0; group < rings.group_count; ++group) {
-    const int length = rings.start[group + 1] - rings.start[group];
-    if (length == 6) {  // most of a mesh
-      write_group<6>(rings, group, length, rows, row_bytes);
-    } else {
-      write_group<0>(rings, group, length, rows, row_bytes);
-    }
-  }
+  rings.narrow.vertex != nullptr ? write_groups(rings, rings.narrow, rows) : write_groups(rings, rings.wide, rows);
 }
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -34,13 +34,42 @@ inline Floats load(const float* p) { return *reinterpret_cast<const Floats*>(p);
 inline Floats load_unaligned(const float* p) { return *reinterpret_cast<const UnalignedFloats*>(p); }
 inline void store(float* p, Floats v) { *reinterpret_cast<Floats*>(p) = v; }
 
-// kLanes 16-bit integers as floats.
+// kLanes numbers as floats. GCC 12 converts narrow ones in steps, or one by one, where it is not told how.
+inline Floats widened(const float* numbers) { return load(numbers); }
+
 inline Floats widened(const std::int16_t* integers) {
-#if defined(__aarch64__)  // GCC 12 converts them one by one
+#if defined(__aarch64__)
   return (Floats)vcvtq_f32_s32(vmovl_s16(vld1_s16(integers)));
 #else
+#if defined(__AVX512F__)
+  const __m256i from = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(integers));
+  const Ints words = (Ints)_mm512_maskz_cvtepi16_epi32(0xffff, from);
+#elif defined(__AVX2__)
+  const Ints words = (Ints)_mm256_cvtepi16_epi32(_mm_loadu_si128(reinterpret_cast<const __m128i*>(integers)));
+#else
   typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes), may_alias));
-  return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints), Floats);
+  const Ints words = __builtin_convertvector(*reinterpret_cast<const Shorts*>(integers), Ints);
+#endif
+  return __builtin_convertvector(words, Floats);
+#endif
+}
+
+inline Floats widened(const std::uint8_t* bytes) {
+#if defined(__aarch64__)
+  std::uint32_t four;
+  __builtin_memcpy(&four, bytes, sizeof four);
+  return (Floats)vcvtq_f32_u32(vmovl_u16(vget_low_u16(vmovl_u8(vcreate_u8(four)))));
+#else
+#if defined(__AVX512F__)
+  const __m128i from = _mm_loadu_si128(reinterpret_cast<const __m128i*>(bytes));
+  const Ints words = (Ints)_mm512_maskz_cvtepu8_epi32(0xffff, from);
+#elif defined(__AVX2__)
+  const Ints words = (Ints)_mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(bytes)));
+#else
+  typedef std::uint8_t Bytes __attribute__((vector_size(kLanes), may_alias));
+  const Ints words = __builtin_convertvector(*reinterpret_cast<const Bytes*>(bytes), Ints);
+#endif
+  return __builtin_convertvector(words, Floats);
 #endif
 }
 
@@ -104,11 +133,19 @@ inline Floats exponential(Floats v) {
   return (Floats)((Ints)p + exponent);
 }
 
-// 1 / sqrt(v) for v > 0, relative error below 8e-7: a first guess from the bits, then two Newton steps, the first with
-// constants that balance the guess's error (to 7e-4).
+// 1 / sqrt(v) for normal v > 0, relative error below 8e-7: a first guess, then Newton steps: one from the processor's
+// guess (to 4e-4), two from the bits, the first with constants that balance that guess's error (to 7e-4).
 inline Floats reciprocal_sqrt(Floats v) {
+#if defined(__AVX512F__)
+  Floats y = (Floats)_mm512_maskz_rsqrt14_ps(0xffff, (__m512)v);
+#elif defined(__AVX2__)
+  Floats y = (Floats)_mm256_rsqrt_ps((__m256)v);
+#elif defined(__x86_64__)
+  Floats y = (Floats)_mm_rsqrt_ps((__m128)v);
+#else
   Floats y = (Floats)(0x5f1ffff9 - ((Ints)v >> 1));
   y = y * (1.68191391f - 0.703952009f * v * y * y);
+#endif
   return y * (1.5f - 0.5f * v * y * y);
 }
 

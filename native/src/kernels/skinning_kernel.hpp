@@ -25,12 +25,12 @@ struct BlendedLanes {
   Floats of[kTogether][12];
 };
 
-inline void add_weighted(BlendedLanes* blend, const float* weights, const float* matrix) {
+inline void add_weighted(BlendedLanes* blend, const Floats* weights, const float* matrix) {
 #if defined(__aarch64__)  // twelve numbers in three registers: GCC 12 gives each its own
   const float32x4_t row[3] = {vld1q_f32(matrix), vld1q_f32(matrix + 4), vld1q_f32(matrix + 8)};
 #pragma GCC unroll 4
   for (int v = 0; v < kTogether; ++v) {
-    const float32x4_t weight = vld1q_f32(weights + v * kLanes);
+    const float32x4_t weight = (float32x4_t)weights[v];
 #pragma GCC unroll 4
     for (int r = 0; r < 3; ++r) {
       Floats* sum = blend->of[v] + 4 * r;
@@ -41,8 +41,7 @@ inline void add_weighted(BlendedLanes* blend, const float* weights, const float*
     }
   }
 #else
-  const Floats weight = load(weights);
-  for (int e = 0; e < 12; ++e) blend->of[0][e] += weight * matrix[e];
+  for (int e = 0; e < 12; ++e) blend->of[0][e] += weights[0] * matrix[e];
 #endif
 }
 
@@ -52,18 +51,32 @@ inline NodeRange nodes_of(const NodeRange* halves, int block, int lane) {
   return {of_block[lane / kHalf].begin, of_block[(lane + kLanesTogether - 1) / kHalf].end};
 }
 
-// Of a block's garment nodes, for kLanesTogether of its vertices from `lane` on.
-inline BlendedLanes blend_lanes(const SkinningBlocks& blocks, const float* matrices, int block, int lane) {
-  const NodeRange nodes = nodes_of(blocks.influences, block, lane);
-  const std::int32_t* at = blocks.influence_matrix + nodes.begin;
-  const int node_count = nodes.end - nodes.begin;
-  const float* weights = blocks.influence_weight + std::ptrdiff_t(nodes.begin) * kBlock + lane;
-  BlendedLanes blend;
+// Calls add(start, weights) for every node of a block, with kLanesTogether weights from `lane` on.
+template <class Start, class Weight, class Add>
+inline void each_node(const NodeRows<Start, Weight>& rows, int block, int lane, Add add) {
+  const NodeRange nodes = nodes_of(rows.halves, block, lane);
+  const Weight* weight = rows.weight + std::ptrdiff_t(nodes.begin) * kBlock + lane;
+  for (std::int32_t k = nodes.begin; k < nodes.end; ++k, weight += kBlock) {
+    Floats weights[kTogether];
 #pragma GCC unroll 4
-  for (int v = 0; v < kTogether; ++v) {
-    for (int e = 0; e < 12; ++e) blend.of[v][e] = load(weights + v * kLanes) * matrices[at[0] + e];
+    for (int v = 0; v < kTogether; ++v) weights[v] = widened(weight + v * kLanes);
+    add(rows.start[k], weights);
   }
-  for (int k = 1; k < node_count; ++k) add_weighted(&blend, weights + k * kBlock, matrices + at[k]);
+}
+
+// Of a block's garment nodes, for kLanesTogether of its vertices from `lane` on.
+inline BlendedLanes blend_lanes(const WideRows& rows, const float* matrices, int block, int lane) {
+  BlendedLanes blend = {};
+  const auto add = [&](int start, const Floats* weights) { add_weighted(&blend, weights, matrices + start); };
+  each_node(rows.influences, block, lane, add);
+  return blend;
+}
+
+inline BlendedLanes blend_lanes(const NarrowRows& rows, const float* matrices, int block, int lane) {
+  BlendedLanes blend = {};
+  const auto add = [&](int start, const Floats* weights) { add_weighted(&blend, weights, matrices + start); };
+  each_node(rows.heavy_influences, block, lane, add);
+  each_node(rows.influences, block, lane, add);
   return blend;
 }
 
@@ -72,23 +85,20 @@ struct RestLanes {
   Floats of[kTogether][3];
 };
 
-template <bool kDetail>
-inline RestLanes rest_lanes(const SkinningBlocks& blocks, const float* offsets, int block, int lane) {
+template <bool kDetail, class Rows>
+inline RestLanes rest_lanes(const SkinningBlocks& blocks, const Rows& rows, const float* offsets, int block, int lane) {
   RestLanes sum = {};
   if (kDetail) {
-    const NodeRange nodes = nodes_of(blocks.details, block, lane);
-    for (std::int32_t k = nodes.begin; k < nodes.end; ++k) {
-      const float* offset = offsets + blocks.detail_offset[k];
+    each_node(rows.details, block, lane, [&](int start, const Floats* weights) {
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v) {
-        const Floats weight = widened(blocks.detail_weight + std::ptrdiff_t(k) * kBlock + lane + v * kLanes);
-        for (int c = 0; c < 3; ++c) sum.of[v][c] += weight * offset[c];
+        for (int c = 0; c < 3; ++c) sum.of[v][c] += weights[v] * offsets[start + c];
       }
-    }
+    });
   }
 #pragma GCC unroll 4
   for (int v = 0; v < kTogether; ++v) {
-    const float* rest = blocks.rest + std::ptrdiff_t(block) * 6 * kBlock + lane + v * kLanes;
+    const float* rest = blocks.rest + std::ptrdiff_t(block) * 3 * kBlock + lane + v * kLanes;
     for (int c = 0; c < 3; ++c) {
       const Floats place = load(rest + c * kBlock);
       sum.of[v][c] = kDetail ? place + sum.of[v][c] * blocks.detail_unit : place;
@@ -97,18 +107,19 @@ inline RestLanes rest_lanes(const SkinningBlocks& blocks, const float* offsets, 
   return sum;
 }
 
-// blend: (12), summed matrices of vertices. place: (3), where they are at rest. normal_at_rest: kBlock from a
+// blend: (12), summed matrices of vertices, in `unit`. place: (3), where they are at rest. normal_at_rest: kBlock from a
 // coordinate to the next.
 template <bool kNormals>
-inline SkinnedLanes skin_lanes(const Floats* blend, const Floats* place, const float* normal_at_rest) {
-  const Floats x = place[0], y = place[1], z = place[2];
+inline SkinnedLanes skin_lanes(const Floats* blend, float unit, const Floats* place, const float* normal_at_rest) {
+  const Floats x = place[0] * unit, y = place[1] * unit, z = place[2] * unit;
   SkinnedLanes skinned;
   for (int r = 0; r < 3; ++r) {
     const Floats* row = blend + 4 * r;
-    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3];
+    skinned.column[r] = row[0] * x + row[1] * y + row[2] * z + row[3] * unit;
   }
   if (!kNormals) return skinned;
-  const Floats nx = load(normal_at_rest), ny = load(normal_at_rest + kBlock), nz = load(normal_at_rest + 2 * kBlock);
+  const Floats nx = load(normal_at_rest) * (unit * unit), ny = load(normal_at_rest + kBlock) * (unit * unit),
+               nz = load(normal_at_rest + 2 * kBlock) * (unit * unit);
   Floats normal[3];  // by the cofactors of the linear part, as surfaces turn when they are sheared or stretched
   for (int r = 0; r < 3; ++r) {
     const Floats* p = blend + 4 * ((r + 1) % 3);
@@ -130,8 +141,8 @@ inline void store_three(unsigned char* target, Quad v) {
 
 // Vertices 4 kFour to 4 kFour + 3 of the lanes. first[k]: x y z nx of every fourth from k on. second: ny nz, of the
 // even and the odd pair of every four.
-template <bool kNormals, int kFour>
-inline void write_four(const Floats* first, const Floats* second, const std::int32_t* vertex, const VertexRows& rows,
+template <bool kNormals, int kFour, class Index>
+inline void write_four(const Floats* first, const Floats* second, const Index* vertex, const VertexRows& rows,
                        std::ptrdiff_t row_bytes) {
   unsigned char* row[4];
   for (int k = 0; k < 4; ++k) row[k] = rows.data + vertex[4 * kFour + k] * row_bytes;
@@ -158,8 +169,8 @@ inline void write_four(const Floats* first, const Floats* second, const std::int
 }
 
 // Writes kLanes vertices: the transpose of their columns, in registers.
-template <bool kNormals>
-inline void write_rows(const SkinnedLanes& skinned, const std::int32_t* vertex, const VertexRows& rows,
+template <bool kNormals, class Index>
+inline void write_rows(const SkinnedLanes& skinned, const Index* vertex, const VertexRows& rows,
                        std::ptrdiff_t row_bytes) {
   const Floats* c = skinned.column;
   const Floats& fourth = kNormals ? c[3] : c[2];
@@ -180,8 +191,8 @@ inline void write_rows(const SkinnedLanes& skinned, const std::int32_t* vertex, 
 }
 
 // Up to kLanes vertices, of the garment's last block.
-template <bool kNormals>
-inline void write_some(const SkinnedLanes& skinned, const std::int32_t* vertex, int count, const VertexRows& rows,
+template <bool kNormals, class Index>
+inline void write_some(const SkinnedLanes& skinned, const Index* vertex, int count, const VertexRows& rows,
                        std::ptrdiff_t row_bytes) {
   for (int lane = 0; lane < count && lane < kLanes; ++lane) {
     float row[kNormals ? 6 : 3];
@@ -192,66 +203,81 @@ inline void write_some(const SkinnedLanes& skinned, const std::int32_t* vertex, 
 
 // The block that may be short comes after the loop: within, choosing between two ways to write would put the columns
 // into memory for the one that is not taken.
-template <bool kNormals, bool kDetail>
-inline void skin_blocks(const SkinningBlocks& blocks, const float* matrices, const float* offsets,
+template <bool kNormals, bool kDetail, class Rows>
+inline void skin_blocks(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
                         const VertexRows& rows) {
   const std::ptrdiff_t row_bytes = rows.stride * std::ptrdiff_t(sizeof(float));
   const int full = blocks.vertex_count / kBlock, left = blocks.vertex_count % kBlock;
-  const std::int32_t* vertex = blocks.vertex;
-  const float* normals = blocks.rest + 3 * kBlock;
-  for (int block = 0; block < full; ++block, normals += 6 * kBlock) {
+  const auto* vertex = nodes.vertex;
+  const float* normals = blocks.normals;
+  for (int block = 0; block < full; ++block, normals += 3 * kBlock) {
     for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
-      const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, block, lane);
-      const BlendedLanes blend = blend_lanes(blocks, matrices, block, lane);
+      const RestLanes rest = rest_lanes<kDetail>(blocks, nodes, offsets, block, lane);
+      const BlendedLanes blend = blend_lanes(nodes, matrices, block, lane);
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
-        write_rows<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + lane + v * kLanes), vertex, rows,
-                             row_bytes);
+        write_rows<kNormals>(skin_lanes<kNormals>(blend.of[v], blocks.unit, rest.of[v], normals + lane + v * kLanes),
+                             vertex, rows, row_bytes);
       }
     }
   }
   for (int lane = 0; lane < left; lane += kLanesTogether) {
-    const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, full, lane);
-    const BlendedLanes blend = blend_lanes(blocks, matrices, full, lane);
+    const RestLanes rest = rest_lanes<kDetail>(blocks, nodes, offsets, full, lane);
+    const BlendedLanes blend = blend_lanes(nodes, matrices, full, lane);
 #pragma GCC unroll 4
     for (int v = 0; v < kTogether; ++v, vertex += kLanes) {
       const int from = lane + v * kLanes;
-      write_some<kNormals>(skin_lanes<kNormals>(blend.of[v], rest.of[v], normals + from), vertex, left - from, rows,
-                           row_bytes);
+      write_some<kNormals>(skin_lanes<kNormals>(blend.of[v], blocks.unit, rest.of[v], normals + from), vertex,
+                           left - from, rows, row_bytes);
     }
   }
 }
 
-inline void skin(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows) {
+template <class Rows>
+inline void skin_nodes(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
+                       const VertexRows& rows) {
   if (offsets != nullptr) {
-    rows.with_normals ? skin_blocks<true, true>(blocks, matrices, offsets, rows)
-                      : skin_blocks<false, true>(blocks, matrices, offsets, rows);
+    rows.with_normals ? skin_blocks<true, true>(blocks, nodes, matrices, offsets, rows)
+                      : skin_blocks<false, true>(blocks, nodes, matrices, offsets, rows);
   } else {
-    rows.with_normals ? skin_blocks<true, false>(blocks, matrices, nullptr, rows)
-                      : skin_blocks<false, false>(blocks, matrices, nullptr, rows);
+    rows.with_normals ? skin_blocks<true, false>(blocks, nodes, matrices, nullptr, rows)
+                      : skin_blocks<false, false>(blocks, nodes, matrices, nullptr, rows);
   }
 }
 
-template <bool kDetail>
-inline void columns_of(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns) {
-  const float* normals = blocks.rest + 3 * kBlock;
-  for (int block = 0; block < blocks.block_count; ++block, normals += 6 * kBlock, columns += 6 * kBlock) {
+inline void skin(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows) {
+  blocks.is_narrow ? skin_nodes(blocks, blocks.narrow, matrices, offsets, rows)
+                   : skin_nodes(blocks, blocks.wide, matrices, offsets, rows);
+}
+
+template <bool kDetail, class Rows>
+inline void columns_of(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
+                       float* columns) {
+  const float* normals = blocks.normals;
+  for (int block = 0; block < blocks.block_count; ++block, normals += 3 * kBlock, columns += 6 * kBlock) {
     for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
-      const RestLanes rest = rest_lanes<kDetail>(blocks, offsets, block, lane);
-      const BlendedLanes blend = blend_lanes(blocks, matrices, block, lane);
+      const RestLanes rest = rest_lanes<kDetail>(blocks, nodes, offsets, block, lane);
+      const BlendedLanes blend = blend_lanes(nodes, matrices, block, lane);
 #pragma GCC unroll 4
       for (int v = 0; v < kTogether; ++v) {
         const int from = lane + v * kLanes;
-        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], rest.of[v], normals + from);
+        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], blocks.unit, rest.of[v], normals + from);
         for (int c = 0; c < 6; ++c) store(columns + c * kBlock + from, skinned.column[c]);
       }
     }
   }
 }
 
+template <class Rows>
+inline void columns_of(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
+                       float* columns) {
+  offsets != nullptr ? columns_of<true>(blocks, nodes, matrices, offsets, columns)
+                     : columns_of<false>(blocks, nodes, matrices, nullptr, columns);
+}
+
 inline void skin_columns(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns) {
-  offsets != nullptr ? columns_of<true>(blocks, matrices, offsets, columns)
-                     : columns_of<false>(blocks, matrices, nullptr, columns);
+  blocks.is_narrow ? columns_of(blocks, blocks.narrow, matrices, offsets, columns)
+                   : columns_of(blocks, blocks.wide, matrices, offsets, columns);
 }
 
 }  // namespace physkin::PHYSKIN_ISA
