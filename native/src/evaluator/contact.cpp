@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <set>
 #include <vector>
 
@@ -93,7 +94,7 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
                     joined(g.contact.detail_weights, samples_ * g.contact.detail_influences, g.between_weights,
                            between_ * g.contact.detail_influences),
                     arena),
-      lacks_(arena.take<float>(std::size_t(samples_))),
+      most_(arena.take<float>(std::size_t(g.between_block_count))),
       posed_(arena.take<Four>(2 * std::size_t(samples_))),
       near_(arena.take<Near>(std::size_t(samples_ + between_))),
       offsets_(arena.take<float>(3 * std::size_t(detail_nodes_.count))) {
@@ -122,14 +123,13 @@ void Contact::find_samples_around(Arena& arena) {
     sample_of[nodes[at]] = at / each;
   }
   sample_of_ = sample_of;
+  std::vector<std::set<std::int32_t>> blocks(static_cast<std::size_t>(samples_));
+  for (int at = each * samples_; at < each * (samples_ + between_); ++at) {
+    if (weights[at] > 0) blocks[std::size_t(sample_of[nodes[at]])].insert((at / each - samples_) / kBlock);
+  }
   std::vector<std::int32_t> starts{0}, around;
-  for (int first = 0; first < between_; first += kBlock) {
-    const int begin = each * (samples_ + first), end = each * (samples_ + std::min(first + kBlock, between_));
-    std::set<std::int32_t> of_block;
-    for (int at = begin; at < end; ++at) {
-      if (weights[at] > 0) of_block.insert(sample_of[nodes[at]]);
-    }
-    around.insert(around.end(), of_block.begin(), of_block.end());
+  for (const std::set<std::int32_t>& of_sample : blocks) {
+    around.insert(around.end(), of_sample.begin(), of_sample.end());
     starts.push_back(std::int32_t(around.size()));
   }
   around_start_ = arena.copy(starts.data(), starts.size());
@@ -266,23 +266,25 @@ void Contact::move_garment_nodes(float* node_transforms) noexcept {
 
 void Contact::look_between(const SkinBlocks& skin) noexcept {
   if (between_ == 0) return;
-  float most_lacking = 0;
-  std::fill_n(lacks_, samples_, 0.0f);
+  const int blocks = (between_ + kBlock - 1) / kBlock;
+  bool any = false;
+  std::fill_n(most_, blocks, 0.0f);
   for (int k = 0; k < near_count_; ++k) {
-    const float lack = lacks_[near_[k].sample] = lack_of(near_[k]);
-    most_lacking = std::max(most_lacking, lack);
+    const float lack = lack_of(near_[k]);
+    if (!(lack > kLooks)) continue;
+    any = true;
+    const std::int32_t* of_sample = around_start_ + near_[k].sample;
+    for (int at = of_sample[0]; at < of_sample[1]; ++at) most_[around_[at]] = std::max(most_[around_[at]], lack);
   }
-  if (!(most_lacking > kLooks)) return;
+  if (!any) return;
   gather_samples();
-  for (int first = 0; first < between_; first += kBlock) {
-    const int block = first / kBlock;
-    float most = 0;
-    for (int at = around_start_[block]; at < around_start_[block + 1]; ++at) most = std::max(most, lacks_[around_[at]]);
-    if (!(most > kLooks)) continue;
-    place_between(block);
+  for (int block = 0; block < blocks; ++block) {
+    if (!(most_[block] > kLooks)) continue;
     ++blocks_between_;
-    look_up(skin, between_columns_, block_of_[block], samples_ + first, samples_ + std::min(first + kBlock, between_),
-            std::min(most / kLooks - 1, 1.0f));
+    place_between(block);
+    const int first = samples_ + kBlock * block;
+    look_up(skin, between_columns_, block_of_[block], first, std::min(first + kBlock, samples_ + between_),
+            std::min(most_[block] / kLooks - 1, 1.0f));
   }
 }
 
@@ -314,17 +316,20 @@ void Contact::place_between(int block) noexcept {
 }
 
 Vector3 Contact::turned_back(int detail_node, Vector3 by) const noexcept {
-  const int sample = sample_of_[detail_node];
-  float sum[12] = {};
-  const int each = garment_nodes_.each;
-  for (int at = each * sample; at < each * (sample + 1); ++at) {
+  Four rows[3] = {};
+  const int each = garment_nodes_.each, first = each * sample_of_[detail_node];
+  for (int at = first; at < first + each; ++at) {
     const float* matrix = matrices_ + 12 * garment_nodes_.nodes[at];
-    for (int k = 0; k < 12; ++k) sum[k] += garment_nodes_.weights[at] * matrix[k];
+    for (int r = 0; r < 3; ++r) {
+      Four row;
+      std::memcpy(&row, matrix + 4 * r, sizeof row);
+      rows[r] += garment_nodes_.weights[at] * row;
+    }
   }
-  const Vector3 x{sum[0], sum[4], sum[8]}, y{sum[1], sum[5], sum[9]}, z{sum[2], sum[6], sum[10]};
-  const Vector3 yz = cross(y, z);
-  const float inverse = 1 / std::max(dot(x, yz), kFlattened);
-  return {inverse * dot(yz, by), inverse * dot(cross(z, x), by), inverse * dot(cross(x, y), by)};
+  const auto row = [&](int r) { return Vector3{rows[r][0], rows[r][1], rows[r][2]}; };
+  const Vector3 yz = cross(row(1), row(2)), zx = cross(row(2), row(0)), xy = cross(row(0), row(1));
+  const float inverse = 1 / std::max(dot(row(0), yz), kFlattened);
+  return inverse * (by.x * yz + by.y * zx + by.z * xy);
 }
 
 }  // namespace physkin

@@ -90,8 +90,8 @@ class Contact {
   const float* gaps_;                 // (samples and those between,) [m]
   const float* heights_;              // (between,) [m]
   const std::int32_t* block_of_;      // (blocks between,) whose sides are theirs
-  const std::int32_t* around_start_;  // (blocks between + 1,) into the next
-  const std::int32_t* around_;        // samples that lie around a block
+  const std::int32_t* around_start_;  // (samples + 1,) into the next
+  const std::int32_t* around_;        // blocks between that a sample lies around
   const float* node_rest_;            // (nodes, 3)
   float *matrices_, *columns_;        // (nodes, 3, 4), and (blocks, 6, kBlock) where they put samples
   float *between_columns_, *planes_;
@@ -99,7 +99,7 @@ class Contact {
   const float* hangs_;  // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
-  float* lacks_;                             // (samples,) [m]
+  float* most_;                              // (blocks between,) [m] that samples around lack
   Four* posed_;                              // (samples, 2) where they are, and their normals
   Near* near_;                               // near_count_ of them
   int near_count_ = 0, blocks_between_ = 0;  // of them, and of blocks that the last frame has looked at between samples
