@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "evaluator/affine.hpp"
@@ -70,14 +71,19 @@ SkinSurface::SkinSurface(const BoundGarment& g, const Kernels& kernels, Arena& a
   middles.normals = normals.data();
   middles.influence_weights = weights.data();
   middles_ = pack_skinning_blocks(middles, arena, BlockOrder::kAsGiven);
-  posed_points_ = arena.take<float>(6 * std::size_t(kSkinBlock) * std::size_t(rooms));
-  posed_middles_ = arena.take<float>(6 * std::size_t(rooms));
-  posed_ = {rooms, posed_points_, posed_middles_, radii};
+  points_rows_ = arena.take<float>(std::size_t(kSkinRow * kSkinBlock * rooms));
+  middle_rows_ = arena.take<float>(std::size_t(kSkinRow * rooms));
+  columns_ = arena.take<float>(6 * std::size_t(rooms));
+  posed_ = {rooms, points_rows_, middle_rows_, columns_, radii};
 }
 
 void SkinSurface::pose(const float* bone_transforms) noexcept {
-  kernels_.skin_columns(points_, bone_transforms, nullptr, posed_points_);
-  kernels_.skin_columns(middles_, bone_transforms, nullptr, posed_middles_);
+  for (const auto& [blocks, rows] : {std::pair(&points_, points_rows_), std::pair(&middles_, middle_rows_)}) {
+    kernels_.skin(*blocks, bone_transforms, nullptr, {reinterpret_cast<unsigned char*>(rows), kSkinRow, true});
+  }
+  for (int block = 0; block < middles_.vertex_count; ++block) {
+    for (int c = 0; c < 6; ++c) columns_[c * posed_.count + block] = middle_rows_[kSkinRow * block + c];
+  }
 }
 
 }  // namespace physkin

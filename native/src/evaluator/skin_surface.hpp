@@ -25,7 +25,7 @@ class SkinSurface {
  private:
   const Kernels& kernels_;
   SkinningBlocks points_, middles_;
-  float *posed_points_, *posed_middles_;
+  float *points_rows_, *middle_rows_, *columns_;
   SkinBlocks posed_;
 };
 

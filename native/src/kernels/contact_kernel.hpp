@@ -4,6 +4,7 @@
 // presses on it where it opposes it; of what counts, the planes of the nearest points are blended.
 #pragma once
 
+#include "kernels/fours.hpp"
 #include "kernels/kernels.hpp"
 #include "kernels/simd.hpp"
 
@@ -33,26 +34,27 @@ inline Floats square_root(Floats v) {
 }
 
 inline float largest_of(Floats v) {
-  float largest = v[0];
-  for (int k = 1; k < kLanes; ++k) largest = v[k] > largest ? v[k] : largest;
-  return largest;
+  return reduced(v, [](Quad a, Quad b) { return a > b ? a : b; });
 }
-
 inline float sum_of(Floats v) {
-  float sum = v[0];
-  for (int k = 1; k < kLanes; ++k) sum += v[k];
-  return sum;
+  return reduced(v, [](Quad a, Quad b) { return a + b; });
 }
 
 struct ClothLanes {
   Floats of[6][kClothRegisters];
 };
 
-// A block of cloth as a whole: a sphere around its samples, their mean normal, of unit length, and the cosine with that of
-// a normal from which on none of them counts.
+// A block of cloth as a whole: a sphere around its samples, their mean normal, of unit length, and the cosines with that of
+// skin that counts for none of them, and from which on it counts in full for all.
 struct ClothBlock {
-  float middle[3], normal[3], radius, turned;
+  float middle[3], normal[3], radius, turned, full;
 };
+
+// Cosine of the sum of two angles, or of their difference, from their cosines.
+inline float cosine_of(float first, float second, float sign) {
+  const float sines = (1.0f - first * first) * (1.0f - second * second);
+  return first * second - sign * __builtin_sqrtf(sines > 0.0f ? sines : 0.0f);
+}
 
 inline ClothBlock as_a_whole(const ClothLanes& cloth) {
   ClothBlock whole;
@@ -80,80 +82,100 @@ inline ClothBlock as_a_whole(const ClothLanes& cloth) {
     least = smaller_of(
         least, whole.normal[0] * cloth.of[3][v] + whole.normal[1] * cloth.of[4][v] + whole.normal[2] * cloth.of[5][v]);
   }
-  // The sum of both angles' cosine; -1 where it is half a turn.
   const float spread = -largest_of(-least), limit = kFacing - kTurn;
-  const float sines = (1.0f - spread * spread) * (1.0f - limit * limit);
-  whole.turned = spread > -limit ? limit * spread - __builtin_sqrtf(sines > 0.0f ? sines : 0.0f) : -1.0f;
+  whole.turned = spread > -limit ? cosine_of(spread, limit, 1) : -1.0f;  // -1: their sum is half a turn
+  whole.full = spread > kFacing ? cosine_of(spread, kFacing, -1) : 2.0f;
   return whole;
 }
 
-// Lists blocks of skin that face a block of cloth within reach. Their number; 0 where the cloth is off all of them.
-inline int blocks_near(const SkinBlocks& skin, const std::int16_t* sides, const ClothBlock& cloth,
-                       std::int32_t* blocks) {
-  int count = 0;
-  bool free = true;
-  for (int first = 0; first < skin.count; first += kLanes) {
-    const Floats side = widened(sides + first);
-    if (!any(side != 0.0f)) continue;
-    const float* middle = skin.middles + 6 * kBlock * (first / kBlock) + first % kBlock;
-    const Floats x = cloth.middle[0] - load(middle), y = cloth.middle[1] - load(middle + kBlock);
-    const Floats z = cloth.middle[2] - load(middle + 2 * kBlock);
-    const Floats within = larger_of(load(skin.radii + first) + (cloth.radius + kContactReach), Floats{});
-    const Ints reached = x * x + y * y + z * z < within * within;
-    if (!any(reached)) continue;
-    const Floats nx = load(middle + 3 * kBlock), ny = load(middle + 4 * kBlock), nz = load(middle + 5 * kBlock);
-    const Floats facing = side * (nx * cloth.normal[0] + ny * cloth.normal[1] + nz * cloth.normal[2]);
-    const Ints near = reached & (facing > cloth.turned);
-    free &= !any(near & (nx * x + ny * y + nz * z < cloth.radius + kFree));
-    for (unsigned bits = bits_of(near & (side != 0.0f)); bits != 0; bits &= bits - 1) {
-      blocks[count++] = first + __builtin_ctz(bits);
-    }
+// Blocks of skin are listed, and what is asked of each, without branches: what is near is hard to foresee.
+
+// Lists blocks of skin that face a block of cloth within reach: first those that count in full, then the others.
+struct NearBlocks {
+  int full = 0, count = 0;
+  bool free = true;  // the cloth is off all of them
+};
+
+// Appends the places of bits.
+inline int list_bits(const std::uint64_t* words, int count, std::int32_t* places, int listed) {
+  for (int k = 0; k < count; ++k) {
+    for (std::uint64_t bits = words[k]; bits != 0; bits &= bits - 1) places[listed++] = 64 * k + __builtin_ctzll(bits);
   }
-  return free ? 0 : count;
+  return listed;
+}
+
+inline NearBlocks blocks_near(const SkinBlocks& skin, const std::int16_t* sides, const ClothBlock& cloth,
+                              const ContactRoom& room) {
+  const int words = (skin.count + 63) / 64;
+  std::uint64_t *full = room.bits, *others = room.bits + words;
+  Ints near_plane = {};
+  for (int word = 0; word < words; ++word) {
+    const int end = 64 * word + 64 < skin.count ? 64 * word + 64 : skin.count;
+    std::uint64_t in_word[2] = {};
+    for (int first = 64 * word; first < end; first += kLanes) {
+      const Floats side = widened(sides + first);
+      const auto column = [&](int c) { return load(skin.columns + c * skin.count + first); };
+      const Floats x = cloth.middle[0] - column(0), y = cloth.middle[1] - column(1), z = cloth.middle[2] - column(2);
+      const Floats nx = column(3), ny = column(4), nz = column(5);
+      const Floats within = larger_of(load(skin.radii + first) + (cloth.radius + kContactReach), Floats{});
+      const Floats facing = side * (nx * cloth.normal[0] + ny * cloth.normal[1] + nz * cloth.normal[2]);
+      const Ints near = (x * x + y * y + z * z < within * within) & (facing > cloth.turned) & (side != 0.0f);
+      const Ints in_full = near & (facing > cloth.full);
+      near_plane |= near & (nx * x + ny * y + nz * z < cloth.radius + kFree);
+      in_word[0] |= std::uint64_t(bits_of(in_full)) << first % 64;
+      in_word[1] |= std::uint64_t(bits_of(near & ~in_full)) << first % 64;
+    }
+    full[word] = in_word[0];
+    others[word] = in_word[1];
+  }
+  NearBlocks found;
+  found.free = !any(near_plane);
+  if (found.free) return found;
+  found.full = list_bits(full, words, room.blocks, 0);
+  found.count = list_bits(others, words, room.blocks, found.full);
+  return found;
 }
 
 // How far samples are turned away from a block of skin, from 0, where it counts in full, to 1, where it does not.
 inline Floats turned_away(const float* middle, float side, const ClothLanes& cloth, int v) {
-  const Floats facing = side * (middle[3 * kBlock] * cloth.of[3][v] + middle[4 * kBlock] * cloth.of[4][v] +
-                                middle[5 * kBlock] * cloth.of[5][v]);
+  const Floats facing = side * (middle[3] * cloth.of[3][v] + middle[4] * cloth.of[4][v] + middle[5] * cloth.of[5][v]);
   const Floats away = from_zero_to_one((kFacing - facing) * (1.0f / kTurn));
   return away * away * (3.0f - 2.0f * away);
 }
 
-inline const float* points_of(const SkinBlocks& skin, int block) {
-  return skin.points + 6 * kBlock * (block / 2) + kSkinBlock * (block % 2);
-}
-
 inline Floats square_from(const ClothLanes& cloth, int v, const float* point) {
-  const Floats x = cloth.of[0][v] - point[0], y = cloth.of[1][v] - point[kBlock];
-  const Floats z = cloth.of[2][v] - point[2 * kBlock];
+  const Floats x = cloth.of[0][v] - point[0], y = cloth.of[1][v] - point[1], z = cloth.of[2][v] - point[2];
   return x * x + y * y + z * z;
 }
 
 // Leaves those of the listed blocks that are nearly the nearest of a sample, and what each adds to squared distances as
 // samples are turned away, (left, kBlock) into `turned`. Their number.
-inline int nearest_blocks(const SkinBlocks& skin, const std::int16_t* sides, const ClothLanes& cloth, int count,
+inline int nearest_blocks(const SkinBlocks& skin, const std::int16_t* sides, const ClothLanes& cloth, NearBlocks near,
                           const ContactRoom& room) {
   Floats nearest[kClothRegisters];
   for (int v = 0; v < kClothRegisters; ++v) nearest[v] = Floats{} + 1.0f;
-  for (int k = 0; k < count; ++k) {
+  const auto look = [&](int k, auto turned_of) {
     const int block = room.blocks[k];
-    const float* middle = skin.middles + 6 * kBlock * (block / kBlock) + block % kBlock;
-    const float side = sides[block];
+    const float* middle = skin.middles + kSkinRow * block;
     for (int v = 0; v < kClothRegisters; ++v) {
-      const Floats turned = (kContactReach * kContactReach) * turned_away(middle, side, cloth, v);
-      const Floats square = square_from(cloth, v, middle) + turned;
+      const Floats turned = turned_of(middle, block, v), square = square_from(cloth, v, middle) + turned;
       store(room.turned + k * kBlock + v * kLanes, turned);
       store(room.squares + k * kBlock + v * kLanes, square);
       nearest[v] = smaller_of(nearest[v], square);
     }
+  };
+  for (int k = 0; k < near.full; ++k) look(k, [](const float*, int, int) { return Floats{}; });
+  for (int k = near.full; k < near.count; ++k) {
+    look(k, [&](const float* middle, int block, int v) {
+      return (kContactReach * kContactReach) * turned_away(middle, sides[block], cloth, v);
+    });
   }
   for (int v = 0; v < kClothRegisters; ++v) {
     const Floats within = square_root(nearest[v]) + kBeyond;
     nearest[v] = within * within;
   }
   int left = 0;
-  for (int k = 0; k < count; ++k) {
+  for (int k = 0; k < near.count; ++k) {
     Ints counts = {};
     for (int v = 0; v < kClothRegisters; ++v) {
       counts |= load(room.squares + k * kBlock + v * kLanes) < nearest[v];
@@ -172,47 +194,71 @@ inline bool meet_skin(const SkinBlocks& skin, const float* cloth_columns, const 
   for (int c = 0; c < 6; ++c) {
     for (int v = 0; v < kClothRegisters; ++v) cloth.of[c][v] = load(cloth_columns + c * kBlock + v * kLanes);
   }
-  const int listed = blocks_near(skin, sides, as_a_whole(cloth), room.blocks);
-  if (listed == 0) return false;
-  const int count = nearest_blocks(skin, sides, cloth, listed, room);
+  const NearBlocks near = blocks_near(skin, sides, as_a_whole(cloth), room);
+  if (near.free) return false;
+  const int count = nearest_blocks(skin, sides, cloth, near, room);
+
+  Floats at[3][kClothRegisters], leasts[kClothRegisters];  // of its own, so that stores do not have it loaded again
+  for (int v = 0; v < kClothRegisters; ++v) {
+    for (int c = 0; c < 3; ++c) at[c][v] = cloth.of[c][v];
+    leasts[v] = Floats{} + kFar;
+  }
+  float* squares = room.squares;
+  for (int k = 0; k < count; ++k) {
+    const float* point = skin.points + kSkinRow * kSkinBlock * room.blocks[k];
+    float* of_block = room.turned + k * kBlock;
+    Floats turned[kClothRegisters], nearest[kClothRegisters];
+    for (int v = 0; v < kClothRegisters; ++v) {
+      turned[v] = load(of_block + v * kLanes);
+      nearest[v] = Floats{} + kFar;
+    }
+#pragma GCC unroll 8
+    for (int i = 0; i < kSkinBlock; ++i, point += kSkinRow, squares += kBlock) {
+      for (int v = 0; v < kClothRegisters; ++v) {
+        const Floats x = at[0][v] - point[0], y = at[1][v] - point[1], z = at[2][v] - point[2];
+        const Floats square = x * x + y * y + z * z + turned[v];
+        store(squares + v * kLanes, square);
+        nearest[v] = smaller_of(nearest[v], square);
+      }
+    }
+    for (int v = 0; v < kClothRegisters; ++v) {
+      store(of_block + v * kLanes, nearest[v]);
+      leasts[v] = smaller_of(leasts[v], nearest[v]);
+    }
+  }
 
   for (int v = 0; v < kClothRegisters; ++v) {
-    Floats least = Floats{} + kFar;
-    float* squares = room.squares;
+    const Floats least = leasts[v], within = kContactBlend * kContactBlend + 0.2f * least, per = 1.0f / within;
+    const Floats most = least + within;
+    int blocks = 0, points = 0;
     for (int k = 0; k < count; ++k) {
-      const float* point = points_of(skin, room.blocks[k]);
-      float* of_block = room.turned + k * kBlock + v * kLanes;
-      const Floats turned = load(of_block);
-      Floats nearest = Floats{} + kFar;
-      for (int i = 0; i < kSkinBlock; ++i, ++point, squares += kLanes) {
-        const Floats square = square_from(cloth, v, point) + turned;
-        store(squares, square);
-        nearest = smaller_of(nearest, square);
-      }
-      store(of_block, nearest);
-      least = smaller_of(least, nearest);
+      room.listed[blocks] = k;
+      blocks += any(load(room.turned + k * kBlock + v * kLanes) < most);
     }
-
-    const Floats within = kContactBlend * kContactBlend + 0.2f * least, per = 1.0f / within;
-    Floats shares = {}, off = {}, apart = {}, normal[3] = {};
-    for (int k = 0; k < count; ++k) {
-      if (!any(load(room.turned + k * kBlock + v * kLanes) - least < within)) continue;
-      const float* point = points_of(skin, room.blocks[k]);
-      squares = room.squares + k * kSkinBlock * kLanes;
-      for (int i = 0; i < kSkinBlock; ++i, ++point, squares += kLanes) {
-        const Floats near = 1.0f - (load(squares) - least) * per;
-        if (!any(near > 0.0f)) continue;
-        const Floats positive = larger_of(near, Floats{}), share = positive * positive;
-        const Floats x = cloth.of[0][v] - point[0], y = cloth.of[1][v] - point[kBlock];
-        const Floats z = cloth.of[2][v] - point[2 * kBlock];
-        const float nx = point[3 * kBlock], ny = point[4 * kBlock], nz = point[5 * kBlock];
-        shares += share;
-        off += share * (nx * x + ny * y + nz * z);
-        apart += share * (x * x + y * y + z * z);
-        normal[0] += share * nx;
-        normal[1] += share * ny;
-        normal[2] += share * nz;
+    std::int32_t* blending = room.listed + blocks;
+    for (int b = 0; b < blocks; ++b) {
+      const int first = kSkinBlock * room.listed[b];
+      const float* of_block = room.squares + first * kBlock + v * kLanes;
+#pragma GCC unroll 8
+      for (int i = 0; i < kSkinBlock; ++i) {
+        blending[points] = first + i;
+        points += any(load(of_block + i * kBlock) < most);
       }
+    }
+    Floats shares = {}, off = {}, apart = {}, normal[3] = {};
+    for (int k = 0; k < points; ++k) {
+      const unsigned at = unsigned(blending[k]), of_block = unsigned(room.blocks[at / kSkinBlock]);
+      const float* point = skin.points + kSkinRow * (kSkinBlock * of_block + at % kSkinBlock);
+      const Floats square = load(room.squares + at * kBlock + v * kLanes);
+      const Floats root = larger_of(1.0f - (square - least) * per, Floats{}), share = root * root;
+      const Floats x = cloth.of[0][v] - point[0], y = cloth.of[1][v] - point[1], z = cloth.of[2][v] - point[2];
+      const float nx = point[3], ny = point[4], nz = point[5];
+      shares += share;
+      off += share * (nx * x + ny * y + nz * z);
+      apart += share * (x * x + y * y + z * z);
+      normal[0] += share * nx;
+      normal[1] += share * ny;
+      normal[2] += share * nz;
     }
     const Floats per_share = 1.0f / larger_of(shares, Floats{} + 1e-9f), away = off * per_share;
     const Floats length = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];

@@ -47,4 +47,18 @@ inline Quad four_lanes(Floats v) {
 #endif
 }
 
+// All lanes taken together by `both`, which has no order.
+template <class Both>
+inline float reduced(Floats v, Both both) {
+  Quad four = four_lanes<0>(v);
+#if defined(__AVX2__)
+  four = both(four, four_lanes<1>(v));
+#endif
+#if defined(__AVX512F__)
+  four = both(four, both(four_lanes<2>(v), four_lanes<3>(v)));
+#endif
+  four = both(four, __builtin_shufflevector(four, four, 2, 3, 0, 1));
+  return both(four, __builtin_shufflevector(four, four, 1, 0, 3, 2))[0];
+}
+
 }  // namespace physkin::PHYSKIN_ISA

@@ -130,19 +130,22 @@ struct TrunkField {
 };
 
 // Points of the skin with normals, in blocks that lie together and face alike. Posed; arrays are aligned.
-constexpr int kSkinBlock = 8;
+constexpr int kSkinBlock = 8, kSkinRow = 8;
 
 struct SkinBlocks {
   int count = 0;                   // of blocks, a multiple of kBlock
-  const float* points = nullptr;   // (count / 2, 6, kBlock) x, y, z [m] and normal; two blocks in each
-  const float* middles = nullptr;  // (count / kBlock, 6, kBlock) the same of the blocks themselves
+  const float* points = nullptr;   // (count * kSkinBlock, kSkinRow) x, y, z [m], normal, and two that are unspecified
+  const float* middles = nullptr;  // (count, kSkinRow) the same of the blocks themselves
+  const float* columns = nullptr;  // (6, count) of these: x, y, z and normal
   const float* radii = nullptr;    // (count,) [m] of each about its middle
 };
 
-// Room for what a block of cloth may meet, of `count` blocks of skin: (count + kBlock,) blocks, (count, kBlock)
-// what they add to squared distances, and (count * kSkinBlock, kBlock) of these. Aligned.
+// Room for what a block of cloth may meet, of `count` blocks of skin: (2, count / 64 rounded up) bits, (count + 1,) blocks,
+// (count (kSkinBlock + 1) + 2,) of these and of points that are listed, (count + 1, kBlock) what blocks add to squared
+// distances, and (count * kSkinBlock, kBlock) of these. Aligned.
 struct ContactRoom {
-  std::int32_t* blocks = nullptr;
+  std::uint64_t* bits = nullptr;
+  std::int32_t *blocks = nullptr, *listed = nullptr;
   float *turned = nullptr, *squares = nullptr;
 };
 
