@@ -122,7 +122,8 @@ def test_layers_on_arm(level, qemu, tmp_path):
     (flags,) = re.findall(rf"isa_{level}_flags (-march.*)\)", (NATIVE / "CMakeLists.txt").read_text()) or [""]
     command = [ARM_COMPILER, "-std=c++17", "-O2", "-ffp-contract=fast", *flags.split(), f"-DPHYSKIN_ISA={level}"]
     command += ["-Wall", "-Wextra", "-Werror", "-static", "-I", NATIVE / "src", HERE / "dense_kernel_test.cpp"]
-    subprocess.run([*command, NATIVE / "src/kernels/packed_layer.cpp", "-o", tmp_path / "layers"], check=True)
+    sources = [NATIVE / "src/kernels" / name for name in ("packed_layer.cpp", "huge_pages.cpp")]
+    subprocess.run([*command, *sources, "-o", tmp_path / "layers"], check=True)
     result = qemu("max", tmp_path / "layers")
     assert (result.returncode, result.stdout) == (0, "540\n"), result.stdout
 
