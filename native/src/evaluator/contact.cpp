@@ -41,6 +41,14 @@ SkinningData as_vertices(const BoundGarment& g) {
   return data;
 }
 
+typedef float Four __attribute__((vector_size(16)));
+
+Four load_four(const float* from) {
+  Four four;
+  std::memcpy(&four, from, sizeof four);
+  return four;
+}
+
 template <class Value>
 std::vector<Value> joined(const Value* first, int count, const Value* second = nullptr, int more = 0) {
   std::vector<Value> both(first, first + count);
@@ -79,8 +87,8 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
       block_of_(arena.copy(g.between_blocks, std::size_t(g.between_block_count))),
       node_rest_(arena.copy(g.node_rest, 3 * std::size_t(g.nodes))),
       matrices_(arena.take<float>(12 * std::size_t(g.nodes))),
-      columns_(arena.take<float>(6 * std::size_t(kBlock * blocks_.block_count))),
-      between_columns_(arena.take<float>(6 * kBlock)),
+      rows_(arena.take<float>(std::size_t(kSkinRow * kBlock * blocks_.block_count))),
+      between_rows_(arena.take<float>(kSkinRow * kBlock)),
       planes_(arena.take<float>(5 * kBlock)),
       room_{arena.take<std::uint64_t>(2 * std::size_t(skin_rooms_ / 64 + 1)),
             arena.take<std::int32_t>(std::size_t(skin_rooms_ + 1)),
@@ -97,7 +105,6 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
                            between_ * g.contact.detail_influences),
                     arena),
       most_(arena.take<float>(std::size_t(g.between_block_count))),
-      posed_(arena.take<Four>(2 * std::size_t(samples_))),
       near_(arena.take<Near>(std::size_t(samples_ + between_))),
       offsets_(arena.take<float>(3 * std::size_t(detail_nodes_.count))) {
   const int skin_blocks = g.skin_points / kSkinBlock;
@@ -142,7 +149,7 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
   place(node_transforms, offsets);
   near_count_ = blocks_between_ = 0;
   for (int first = 0; first < samples_; first += kBlock) {
-    look_up(skin, columns_ + 6 * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
+    look_up(skin, rows_ + kSkinRow * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
   }
   if (near_count_ == 0) return offsets;
   const bool has_detail = detail_nodes_.count > 0;
@@ -173,12 +180,11 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
     }
   };
   for (int first = 0; first < samples_; first += kBlock) {
-    read(meet(skin, columns_ + 6 * first, first / kBlock), first, std::min(first + kBlock, samples_));
+    read(meet(skin, rows_ + kSkinRow * first, first / kBlock), first, std::min(first + kBlock, samples_));
   }
-  gather_samples();
   for (int first = 0; first < between_; first += kBlock) {
     place_between(first / kBlock);
-    read(meet(skin, between_columns_, block_of_[first / kBlock]), samples_ + first,
+    read(meet(skin, between_rows_, block_of_[first / kBlock]), samples_ + first,
          samples_ + std::min(first + kBlock, between_));
   }
 }
@@ -192,22 +198,20 @@ std::size_t Contact::untouched() const noexcept {
       bytes += std::size_t(movers->count) * (sizeof(float) + 2 * sizeof(Four));
     }
   }
-  if (blocks_between_ == 0) bytes += 2 * std::size_t(samples_) * sizeof(Four);
   return bytes;
 }
 
 void Contact::place(const float* node_transforms, const float* offsets) noexcept {
   skinning_matrices(node_transforms, node_rest_, node_count_, matrices_);
-  kernels_.skin_columns(blocks_, matrices_, offsets, columns_);
+  kernels_.skin(blocks_, matrices_, offsets, {reinterpret_cast<unsigned char*>(rows_), kSkinRow, true});
 }
 
-bool Contact::meet(const SkinBlocks& skin, const float* columns, int block) noexcept {
-  return kernels_.meet_skin(skin, columns, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_);
+bool Contact::meet(const SkinBlocks& skin, const float* rows, int block) noexcept {
+  return kernels_.meet_skin(skin, rows, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_);
 }
 
-void Contact::look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end,
-                      float share) noexcept {
-  if (!meet(skin, columns, block)) return;
+void Contact::look_up(const SkinBlocks& skin, const float* rows, int block, int first, int end, float share) noexcept {
+  if (!meet(skin, rows, block)) return;
   for (int sample = first; sample < end; ++sample) {
     const float* plane = planes_ + sample - first;
     const float lacks = gaps_[sample] + kSoft - plane[0], holds = share * plane[4 * kBlock];
@@ -257,8 +261,7 @@ void Contact::move_garment_nodes(float* node_transforms) noexcept {
   }
   for (int sample = 0; sample < samples_; ++sample) {
     const Four by = garment_nodes_.moved(sample);
-    float* at = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
-    for (int c = 0; c < 3; ++c) at[c * kBlock] += by[c];
+    for (int c = 0; c < 3; ++c) rows_[kSkinRow * sample + c] += by[c];
   }
   for (int k = 0; k < near_count_; ++k) {
     near_[k].lacks -= near_[k].moved;
@@ -279,22 +282,13 @@ void Contact::look_between(const SkinBlocks& skin) noexcept {
     for (int at = of_sample[0]; at < of_sample[1]; ++at) most_[around_[at]] = std::max(most_[around_[at]], lack);
   }
   if (!any) return;
-  gather_samples();
   for (int block = 0; block < blocks; ++block) {
     if (!(most_[block] > kLooks)) continue;
     ++blocks_between_;
     place_between(block);
     const int first = samples_ + kBlock * block;
-    look_up(skin, between_columns_, block_of_[block], first, std::min(first + kBlock, samples_ + between_),
+    look_up(skin, between_rows_, block_of_[block], first, std::min(first + kBlock, samples_ + between_),
             std::min(most_[block] / kLooks - 1, 1.0f));
-  }
-}
-
-void Contact::gather_samples() noexcept {
-  for (int sample = 0; sample < samples_; ++sample) {
-    const float* from = columns_ + 6 * kBlock * (sample / kBlock) + sample % kBlock;
-    posed_[2 * sample] = Four{from[0], from[kBlock], from[2 * kBlock], 0};
-    posed_[2 * sample + 1] = Four{from[3 * kBlock], from[4 * kBlock], from[5 * kBlock], 0};
   }
 }
 
@@ -305,14 +299,14 @@ void Contact::place_between(int block) noexcept {
     const int s = std::min(first + lane, between_ - 1);
     Four at{}, normal{};
     for (int k = each * (samples_ + s); k < each * (samples_ + s + 1); ++k) {
-      const Four* sample = posed_ + 2 * sample_of_[detail_nodes_.nodes[k]];
-      at += detail_nodes_.weights[k] * sample[0];
-      normal += detail_nodes_.weights[k] * sample[1];
+      const float* sample = rows_ + kSkinRow * sample_of_[detail_nodes_.nodes[k]];
+      at += detail_nodes_.weights[k] * load_four(sample);
+      normal += detail_nodes_.weights[k] * load_four(sample + 3);
     }
     at += heights_[s] * normal;
     for (int c = 0; c < 3; ++c) {
-      between_columns_[c * kBlock + lane] = at[c];
-      between_columns_[(3 + c) * kBlock + lane] = normal[c];
+      between_rows_[kSkinRow * lane + c] = at[c];
+      between_rows_[kSkinRow * lane + 3 + c] = normal[c];
     }
   }
 }
@@ -323,9 +317,7 @@ Vector3 Contact::turned_back(int detail_node, Vector3 by) const noexcept {
   for (int at = first; at < first + each; ++at) {
     const float* matrix = matrices_ + 12 * garment_nodes_.nodes[at];
     for (int r = 0; r < 3; ++r) {
-      Four row;
-      std::memcpy(&row, matrix + 4 * r, sizeof row);
-      rows[r] += garment_nodes_.weights[at] * row;
+      rows[r] += garment_nodes_.weights[at] * load_four(matrix + 4 * r);
     }
   }
   const auto row = [&](int r) { return Vector3{rows[r][0], rows[r][1], rows[r][2]}; };

@@ -65,9 +65,9 @@ class Contact {
   void find_samples_around(Arena& arena);
   void place(const float* node_transforms, const float* offsets) noexcept;
   // Looks a block of samples up that has the sides of `block`: planes into `planes_`, and whether any skin is near.
-  bool meet(const SkinBlocks& skin, const float* columns, int block) noexcept;
+  bool meet(const SkinBlocks& skin, const float* rows, int block) noexcept;
   // The same, and lists those that lack something.
-  void look_up(const SkinBlocks& skin, const float* columns, int block, int first, int end, float share) noexcept;
+  void look_up(const SkinBlocks& skin, const float* rows, int block, int first, int end, float share) noexcept;
   float lack_of(const Near& near) const noexcept;
   // Finds moves for what samples lack, a share (samples,) of it each; null: all of it. Whether anything had to be moved.
   bool move(Movers& movers, const float* shares) noexcept;
@@ -75,9 +75,7 @@ class Contact {
   void move_garment_nodes(float* node_transforms) noexcept;
   // Looks up what lies between samples that lack something.
   void look_between(const SkinBlocks& skin) noexcept;
-  // Rows of the samples' columns.
-  void gather_samples() noexcept;
-  // Where samples of a block between others are, (6, kBlock) into `between_columns_`.
+  // Where those of a block between samples are, into `between_rows_`.
   void place_between(int block) noexcept;
   // At rest, what moves a detail node `by` in the root frame.
   Vector3 turned_back(int detail_node, Vector3 by) const noexcept;
@@ -93,14 +91,13 @@ class Contact {
   const std::int32_t* around_start_;  // (samples + 1,) into the next
   const std::int32_t* around_;        // blocks between that a sample lies around
   const float* node_rest_;            // (nodes, 3)
-  float *matrices_, *columns_;        // (nodes, 3, 4), and (blocks, 6, kBlock) where they put samples
-  float *between_columns_, *planes_;
+  float *matrices_, *rows_;           // (nodes, 3, 4), and (samples, kSkinRow) where they put samples: x, y, z, normal
+  float *between_rows_, *planes_;
   ContactRoom room_;
   const float* hangs_;  // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
   float* most_;                              // (blocks between,) [m] that samples around lack
-  Four* posed_;                              // (samples, 2) where they are, and their normals
   Near* near_;                               // near_count_ of them
   int near_count_ = 0, blocks_between_ = 0;  // of them, and of blocks that the last frame has looked at between samples
   float* offsets_;                           // (detail nodes, 3)

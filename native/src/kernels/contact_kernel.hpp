@@ -187,12 +187,19 @@ inline int nearest_blocks(const SkinBlocks& skin, const std::int16_t* sides, con
   return left;
 }
 
-inline bool meet_skin(const SkinBlocks& skin, const float* cloth_columns, const std::int16_t* sides,
+inline bool meet_skin(const SkinBlocks& skin, const float* cloth_rows, const std::int16_t* sides,
                       const ContactRoom& room, float* planes) {
   constexpr float kFar = kContactReach * kContactReach;
   ClothLanes cloth;
-  for (int c = 0; c < 6; ++c) {
-    for (int v = 0; v < kClothRegisters; ++v) cloth.of[c][v] = load(cloth_columns + c * kBlock + v * kLanes);
+  for (int v = 0; v < kClothRegisters; ++v) {
+    const auto row = [&](int lane) { return cloth_rows + kSkinRow * (v * kLanes + lane); };
+    Floats place[4], normal[4];
+    load_columns(row, place);
+    load_columns([&](int lane) { return row(lane) + 2; }, normal);
+    for (int c = 0; c < 3; ++c) {
+      cloth.of[c][v] = place[c];
+      cloth.of[3 + c][v] = normal[c + 1];
+    }
   }
   const NearBlocks near = blocks_near(skin, sides, as_a_whole(cloth), room);
   if (near.free) return false;

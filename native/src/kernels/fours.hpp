@@ -47,6 +47,35 @@ inline Quad four_lanes(Floats v) {
 #endif
 }
 
+// The first four numbers of rows, a lane each: the first of all in columns[0], and so on. at(lane): where its row is.
+template <class At>
+inline void load_columns(At at, Floats* columns) {
+  Floats row[4];
+  for (int k = 0; k < 4; ++k) {
+    const auto quad = [&](int lane) {
+      Quad four;
+      __builtin_memcpy(&four, at(lane), sizeof four);
+      return four;
+    };
+#if defined(__AVX512F__)
+    const __m512 first = _mm512_castps128_ps512((__m128)quad(k));
+    const __m512 second = _mm512_maskz_insertf32x4(0xffff, first, (__m128)quad(k + 4), 1);
+    const __m512 third = _mm512_maskz_insertf32x4(0xffff, second, (__m128)quad(k + 8), 2);
+    row[k] = (Floats)_mm512_maskz_insertf32x4(0xffff, third, (__m128)quad(k + 12), 3);
+#elif defined(__AVX2__)
+    row[k] = (Floats)_mm256_insertf128_ps(_mm256_castps128_ps256((__m128)quad(k)), (__m128)quad(k + 4), 1);
+#else
+    row[k] = quad(k);
+#endif
+  }
+  const Floats low = zip_low(row[0], row[1]), high = zip_high(row[0], row[1]);
+  const Floats next_low = zip_low(row[2], row[3]), next_high = zip_high(row[2], row[3]);
+  columns[0] = halves_low(low, next_low);
+  columns[1] = halves_high(low, next_low);
+  columns[2] = halves_low(high, next_high);
+  columns[3] = halves_high(high, next_high);
+}
+
 // All lanes taken together by `both`, which has no order.
 template <class Both>
 inline float reduced(Floats v, Both both) {

@@ -20,7 +20,6 @@ const Kernels kernels{
      {dense<Bf16Rows, false>, dense<Bf16Rows, true>},
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
-    skin_columns,
     ring_normals,
     trunk_depth,
     meet_skin,

@@ -174,9 +174,6 @@ struct Kernels {
   // before, null where the blocks have no detail.
   void (*skin)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, const VertexRows& rows);
 
-  // The same in columns: (block_count, 6, kBlock), aligned, block by block. Beyond vertex_count are no numbers of use.
-  void (*skin_columns)(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns);
-
   // Writes places, and unit normals of the faces around each, weighted by their areas; +Z where they cancel out.
   void (*ring_normals)(FaceRings rings, VertexRows rows);
 
@@ -184,7 +181,7 @@ struct Kernels {
   // kTrunkPoints.
   void (*trunk_depth)(const TrunkField& field, const float* points, int count, float* contacts);
 
-  // Where a block of cloth is from the skin. cloth: (6, kBlock) as of skin_columns. sides: (skin.count,) of each block of
+  // Where a block of cloth is from the skin. cloth: (kBlock, kSkinRow), as points of the skin. sides: (skin.count,) of each block of
   // skin, 1 where it is beneath the cloth, -1 where it presses on it, 0 where the two never meet. planes (5, kBlock):
   // distance [m], normal, and in how far that holds, 0 to 1. False, and nothing written, where no skin is near.
   bool (*meet_skin)(const SkinBlocks& skin, const float* cloth, const std::int16_t* sides, const ContactRoom& room,

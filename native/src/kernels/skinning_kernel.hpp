@@ -250,34 +250,4 @@ inline void skin(const SkinningBlocks& blocks, const float* matrices, const floa
                    : skin_nodes(blocks, blocks.wide, matrices, offsets, rows);
 }
 
-template <bool kDetail, class Rows>
-inline void columns_of(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
-                       float* columns) {
-  const float* normals = blocks.normals;
-  for (int block = 0; block < blocks.block_count; ++block, normals += 3 * kBlock, columns += 6 * kBlock) {
-    for (int lane = 0; lane < kBlock; lane += kLanesTogether) {
-      const RestLanes rest = rest_lanes<kDetail>(blocks, nodes, offsets, block, lane);
-      const BlendedLanes blend = blend_lanes(nodes, matrices, block, lane);
-#pragma GCC unroll 4
-      for (int v = 0; v < kTogether; ++v) {
-        const int from = lane + v * kLanes;
-        const SkinnedLanes skinned = skin_lanes<true>(blend.of[v], blocks.unit, rest.of[v], normals + from);
-        for (int c = 0; c < 6; ++c) store(columns + c * kBlock + from, skinned.column[c]);
-      }
-    }
-  }
-}
-
-template <class Rows>
-inline void columns_of(const SkinningBlocks& blocks, const Rows& nodes, const float* matrices, const float* offsets,
-                       float* columns) {
-  offsets != nullptr ? columns_of<true>(blocks, nodes, matrices, offsets, columns)
-                     : columns_of<false>(blocks, nodes, matrices, nullptr, columns);
-}
-
-inline void skin_columns(const SkinningBlocks& blocks, const float* matrices, const float* offsets, float* columns) {
-  blocks.is_narrow ? columns_of(blocks, blocks.narrow, matrices, offsets, columns)
-                   : columns_of(blocks, blocks.wide, matrices, offsets, columns);
-}
-
 }  // namespace physkin::PHYSKIN_ISA
