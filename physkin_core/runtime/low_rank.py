@@ -56,14 +56,16 @@ def _in_steps(weight: np.ndarray) -> np.ndarray:
 
 
 def _directions(weight: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-    """Orthonormal directions (o, r) of the outputs, the strongest for inputs (F, k)."""
+    """Orthonormal directions (o, r) of the outputs, the strongest for inputs (F, k); zeros where outputs have fewer."""
     inputs = inputs.astype(np.float64)
     square = inputs.T @ inputs / len(inputs)
     square += 1e-6 * np.trace(square) / len(square) * np.eye(len(square))
     root = np.linalg.cholesky(square)
     weight = weight.astype(np.float64)
     strength, vectors = np.linalg.eigh(root.T @ (weight.T @ weight) @ root)
-    return weight @ (root @ vectors[:, -DIRECTIONS:] / np.sqrt(strength[-DIRECTIONS:]))
+    strongest = strength[-DIRECTIONS:]
+    scale = np.where(strongest > 1e-12 * strongest[-1], 1 / np.sqrt(np.maximum(strongest, 1e-300)), 0)
+    return weight @ (root @ vectors[:, -DIRECTIONS:] * scale)
 
 
 def _pose_vectors(rig: Rig) -> np.ndarray:

@@ -114,8 +114,8 @@ def test_clouds_are_the_native_ones(outfit, bound, tmp_path, monkeypatch):
 
 
 def test_fabrics_hang_as_in_python(tmp_path, monkeypatch):
-    """2 mm on average from a garment that is made of them: both are within a millimetre of the network as it was trained,
-    by directions of their own; and back."""
+    """2 mm on average from a garment that is made of them: both are within a millimetre of the network as it was
+    trained, by directions of their own; and back."""
     trained = load_garment_model("dress")
     avatar = load_avatar(BUNDLED_AVATAR, trained.rig)
     Draper(with_fabric(trained, "wool"), avatar).save_bound(tmp_path / "dress")

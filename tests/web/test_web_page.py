@@ -59,8 +59,8 @@ def test_wind_of_the_command_blows_on_the_page(folder):
 
 @made
 def test_cloth_in_the_browser_is_the_native_one(browser, monkeypatch):
-    """0.2 mm from it at most: the browser has no fused multiply-adds, so that an activation may be rounded the other way,
-    layer after layer."""
+    """0.2 mm from it at most: the browser has no fused multiply-adds, so that an activation may be rounded the other
+    way, layer after layer."""
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
     models = [load_garment_model(name) for name in GARMENTS]
     outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), hide_covered=False)

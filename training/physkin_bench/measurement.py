@@ -22,7 +22,8 @@ EMPTIED_ROUNDS = 30
 
 
 def compared_levels() -> list[str]:
-    """AVX2, AVX-VNNI and the widest instruction set: they are timed cold, and compared with peers, which choose by themselves."""
+    """AVX2, AVX-VNNI and the widest instruction set: they are timed cold, and compared with peers, which choose by
+    themselves."""
     levels = supported_instruction_sets()
     return [level for level in levels if level in ("v3", "v3_vnni", levels[-1])]
 

@@ -45,6 +45,17 @@ def test_layers_whose_inputs_span_few_directions_stay_what_they_are():
     assert np.abs(layers[2][0] @ (layers[1][0] @ x) - weight @ x).max() < 1e-2 * np.abs(weight @ x).max()
 
 
+@pytest.mark.parametrize("rank", [0, 7])
+def test_a_layer_of_less_rank_stays_finite(rank):
+    """As one that training begins with, whose outputs are all zero."""
+    rng = np.random.default_rng(2)
+    first = random_layers(rng, (RIG.pose_size, 400), output_scale=1.0)
+    weight = (rng.normal(size=(400, rank)) @ rng.normal(size=(rank, 400))).astype(np.float32)
+    _, (projection, _), (narrow, _) = low_rank_layers([[*first, (weight, np.zeros(400, dtype=np.float32))]], RIG)
+    x = rng.normal(size=(400, 5))
+    assert np.abs(narrow @ (projection @ x) - weight @ x).max() <= 2e-2 * np.abs(weight @ x).max()
+
+
 def test_narrow_layers_are_left_as_they_are():
     layers = random_layers(np.random.default_rng(1), (RIG.pose_size, 128, 128, 64), output_scale=1.0)
     assert all(a is b for pair, own in zip(low_rank_layers([layers], RIG), layers) for a, b in zip(pair, own))
