@@ -276,7 +276,7 @@ inline bool meet_skin(const SkinBlocks& skin, const float* cloth_rows, const std
     store(planes + v * kLanes, away);
     for (int c = 0; c < 3; ++c) store(planes + (c + 1) * kBlock + v * kLanes, normal[c] * inverse);
     const Floats deep = from_zero_to_one(fade) * (away < 0.0f ? held : Floats{} + 1.0f);
-    store(planes + 4 * kBlock + v * kLanes, (least < kFar) & (shares > 0.0f) ? deep : Floats{});
+    store(planes + 4 * kBlock + v * kLanes, ((least < kFar) & (shares > 0.0f)) ? deep : Floats{});
   }
   return true;
 }
