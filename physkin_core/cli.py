@@ -257,7 +257,7 @@ def _info(options: argparse.Namespace) -> int:
     model = load_garment_model(options.model)
     garment, rig = model.garment, model.rig
     sizes = {
-        network: " -> ".join(str(size) for size in [layers[0][0].shape[1], *(len(bias) for _, bias in layers)])
+        network: " -> ".join(str(size) for size in [layers[0][0].shape[1], *(len(weight) for weight, _ in layers)])
         for network, layers in (("pose modulator", model.pose_modulator), ("node deformer", model.node_deformer))
     }
     parameters = sum(array.size for name, array in model.arrays().items() if "modulator" in name or "deformer" in name)

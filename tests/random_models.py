@@ -139,7 +139,9 @@ def random_layers(
     without a bias."""
     layers = []
     for k, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
-        gain = np.sqrt(2 / inputs) if k + 2 < len(sizes) else output_scale / np.sqrt(inputs)
+        gain = np.sqrt((1 if k in projections else 2) / inputs)
+        if k + 2 == len(sizes):
+            gain = output_scale / np.sqrt(inputs)
         weight, bias = rng.normal(size=(outputs, inputs)) * gain, rng.normal(size=outputs, scale=0.05)
         layers.append((weight.astype(np.float32), bias[: 0 if k in projections else None].astype(np.float32)))
     return tuple(layers)
@@ -186,6 +188,7 @@ def random_model(
     rings: int = 9,
     segments: int = 12,
     pose_widths: tuple[int, ...] = (16, 16),
+    pose_rank: int = 0,
     deformer_widths: tuple[int, ...] = (12, 12),
     width: int = 8,
     correction: float = 0.1,
@@ -196,6 +199,7 @@ def random_model(
 
     rig, garment: default a random rig of `bones` and `dofs`, and a `tube` of `rings` by `segments`. correction: about
     how large the node deformer's numbers are. learnt_sway: it has a sway network. detail_nodes: that it has.
+    pose_rank: of the pose modulator's layers but the first.
     """
     rig = random_rig(rng, bones=bones, dofs=dofs) if rig is None else rig
     garment = tube(rings=rings, segments=segments) if garment is None else garment
@@ -207,7 +211,11 @@ def random_model(
         0.5, 1.5, size=influence_nodes.shape
     )
     deformer = random_layers(rng, (12 * nodes, *deformer_widths, 12 * nodes), output_scale=correction)
-    pose = random_layers(rng, (rig.pose_size, *pose_widths, 2 * sum(deformer_widths)), output_scale=0.3)
+    pose_sizes = [rig.pose_size, pose_widths[0]]
+    for after in (*pose_widths[1:], 2 * sum(deformer_widths)):
+        pose_sizes += [pose_rank, after] if pose_rank else [after]
+    projections = tuple(range(1, len(pose_sizes) - 1, 2)) if pose_rank else ()
+    pose = random_layers(rng, tuple(pose_sizes), output_scale=0.3, projections=projections)
     node_bone = rng.integers(0, rig.bone_count, size=nodes).astype(np.int32)
     hyper = random_hyper_modulator(rng, 2 * sum(pose_widths), width=width)
     return GarmentModel(

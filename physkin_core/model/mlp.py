@@ -1,7 +1,8 @@
 """Multi-layer perceptrons with feature-wise modulation: the shared shape of pose modulator and node deformer.
 
 Modulation comes before the activation, as scale and shift: x = silu((1 + scale) * (W x + bias) + shift). With the
-modulation constant for a body it folds into the layer (`fold_modulation`).
+modulation constant for a body it folds into the layer (`fold_modulation`). A projection, without bias, modulation and
+activation, makes the layer after it one of low rank.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def split_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> list[tu
 def fold_modulation(layers: Sequence[Layer], modulation: np.ndarray) -> tuple[Layer, ...]:
     """The plain network equal to `layers` under a constant modulation (size,)."""
     hidden = [
-        ((1 + scale)[:, None] * weight, (1 + scale) * bias + shift)
+        ((1 + scale)[:, None] * weight, (1 + scale) * bias + shift) if len(bias) else (weight, bias)
         for (weight, bias), (scale, shift) in zip(layers[:-1], split_modulation(layers, modulation), strict=True)
     ]
     return (*hidden, layers[-1])

@@ -122,7 +122,8 @@ class Linear:
 
 @dataclass(frozen=True)
 class Chain:
-    """A tuple of layers, each reading what the one before gives: NAME.0, NAME.1 and so on."""
+    """A tuple of layers, each reading what the one before gives: NAME.0, NAME.1 and so on. Those between the first and
+    the last may be projections, without a bias (see `physkin_core.model.mlp`)."""
 
     inputs: str
     outputs: str
@@ -130,14 +131,17 @@ class Chain:
     def arrays(self, name: str, layers: tuple) -> Iterator[DescribedArray]:
         if not layers:
             raise GarmentModelError(f"{name} has no layers")
-        widths = [self.inputs, *(str(bias.size) for _, bias in layers[:-1]), self.outputs]
-        for index, layer in enumerate(layers):
-            yield from Linear(widths[index + 1], widths[index]).arrays(f"{name}.{index}", layer)
+        widths = [self.inputs, *(str(len(weight)) for weight, _ in layers[:-1]), self.outputs]
+        for index, (weight, bias) in enumerate(layers):
+            yield f"{name}.{index}.weight", weight, Array(f"{widths[index + 1]} {widths[index]}")
+            if len(bias) or index in (0, len(layers) - 1):
+                yield f"{name}.{index}.bias", bias, Array(widths[index + 1])
 
     def read(self, name: str, arrays: Mapping[str, np.ndarray]) -> tuple:
         layers: list = []
         while f"{name}.{len(layers)}.weight" in arrays:
-            layers.append(Linear("", "").read(f"{name}.{len(layers)}", arrays))
+            own = f"{name}.{len(layers)}"
+            layers.append((arrays[f"{own}.weight"], arrays.get(f"{own}.bias", np.empty(0, dtype=np.float32))))
         return tuple(layers)
 
 

@@ -2,7 +2,8 @@
 
 A network weight W (o, k) becomes A (o, r) B (r, k), a projection B without bias or activation before the layer A. Of
 all products of this rank it is the closest to W for the inputs that poses give. A frame then reads two fifths of what
-it would of the pose modulator. It is found for one body: other bodies have other directions.
+it would of the pose modulator. It is found for one body: other bodies have other directions. Models that were
+trained with projections are left as they are.
 
 Dimensions: `F` inputs, `k` inputs of a layer, `o` its outputs, `d` degrees of freedom.
 """
@@ -34,6 +35,8 @@ def low_rank_layers(networks: Sequence[Sequence[Layer]], rig: Rig) -> tuple[Laye
     networks: float32, the one to be made narrower folded for a body and a fabric; and the same folded for other
     fabrics that it is to serve as well, by a modulation over it.
     """
+    if not all(len(bias) for _, bias in networks[0]):
+        return tuple(networks[0])
     inputs = [_pose_vectors(rig)] * len(networks)
     layers: list[Layer] = []
     for k, (weight, bias) in enumerate(networks[0]):

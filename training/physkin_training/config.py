@@ -114,11 +114,13 @@ class NetworkConfig:
     """Sizes of the networks.
 
     As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
-    spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes.
+    spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes. pose_rank: of
+    the pose modulator's layers but the first, each then a product of two (see `physkin_core.model.mlp`); 0: full.
     """
 
     pose_hidden: Count = 384
     pose_layers: Count = 3
+    pose_rank: Annotated[int, Field(strict=True, ge=0)] = 0
     deformer_hidden: Count = 256
     deformer_layers: Count = 4
     token_width: Annotated[Count, Field(multiple_of=HEADS)] = 128

@@ -8,6 +8,8 @@ from reference.networks import mlp
 from physkin_core.model.mlp import fold_modulation, modulation_over, modulation_size
 
 LAYERS = random_layers(np.random.default_rng(0), (5, 7, 4, 6, 3), output_scale=1)
+PROJECTION = np.random.default_rng(4).normal(size=(4, 4)).astype(np.float32), np.empty(0, dtype=np.float32)
+LAYERS = (*LAYERS[:2], PROJECTION, *LAYERS[2:])
 
 
 @pytest.fixture

@@ -56,6 +56,13 @@ def test_a_layer_of_less_rank_stays_finite(rank):
     assert np.abs(narrow @ (projection @ x) - weight @ x).max() <= 2e-2 * np.abs(weight @ x).max()
 
 
+def test_layers_that_have_learnt_their_projections_are_left_as_they_are():
+    layers = random_layers(
+        np.random.default_rng(1), (RIG.pose_size, 400, 20, 400, 400), output_scale=1.0, projections=(1,)
+    )
+    assert low_rank_layers([layers], RIG) == layers
+
+
 def test_narrow_layers_are_left_as_they_are():
     layers = random_layers(np.random.default_rng(1), (RIG.pose_size, 128, 128, 64), output_scale=1.0)
     assert all(a is b for pair, own in zip(low_rank_layers([layers], RIG), layers) for a, b in zip(pair, own))

@@ -28,11 +28,12 @@ def posed_scene(seed, **sizes):
     return rng, model, drape_from_model(model).double(), np.array(bones)
 
 
-@pytest.mark.parametrize("detail_nodes", [0, 15])
-def test_the_whole_drape_agrees_with_the_reference(detail_nodes):
-    """Pose and body in, vertices out, on a random rig and another body; with detail and without."""
+@pytest.mark.parametrize("detail_nodes, pose_rank", [(0, 0), (15, 0), (0, 5)])
+def test_the_whole_drape_agrees_with_the_reference(detail_nodes, pose_rank):
+    """Pose and body in, vertices out, on a random rig and another body; with detail and without, and with a pose
+    modulator of low rank."""
     rng = np.random.default_rng(1)
-    model = random_model(rng, bones=12, dofs=20, detail_nodes=detail_nodes)
+    model = random_model(rng, bones=12, dofs=20, detail_nodes=detail_nodes, pose_rank=pose_rank)
     drape, avatar = drape_from_model(model).double(), random_avatar(rng, model.rig)
     heads, tails = (tensor(each)[None] for each in (avatar.bone_heads, avatar.bone_tails))
     on_body = drape.node_positions(SimpleNamespace(heads=heads, tails=tails))

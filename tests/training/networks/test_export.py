@@ -153,10 +153,11 @@ def test_pruning_keeps_the_strongest_and_renormalises(trained, influences):
         np.testing.assert_allclose(model.influence_weights[vertex], expected, atol=1e-6)
 
 
-def test_there_and_back_again():
+@pytest.mark.parametrize("pose_rank", [0, 5])
+def test_there_and_back_again(pose_rank):
     """A garment model through torch is the same garment model, array by array, but for rest normals, which are those of
     the mesh, and engines' skinning weights, which are its others."""
-    model = random_model(np.random.default_rng(1), pose_widths=(16,) * 3)
+    model = random_model(np.random.default_rng(1), pose_widths=(16,) * 3, pose_rank=pose_rank)
     sizes = {"influences": 4, "engine_influences": 4, "material": model.material}
     back = model_from_drape(drape_from_model(model), model.garment, model.rig, name=model.name, **sizes)
     dense, dense_back = (np.zeros((len(m.garment.vertices), 10)) for m in (model, back))

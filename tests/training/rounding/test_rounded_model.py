@@ -31,11 +31,12 @@ def test_a_network_that_reads_nothing_is_rounded():
     np.testing.assert_allclose(nothing.round(weight, Rounding(1)), weight, atol=0.03)
 
 
-def test_a_rounded_model_drapes_the_same_in_fewer_bytes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("pose_rank", [0, 24])
+def test_a_rounded_model_drapes_the_same_in_fewer_bytes(pose_rank, tmp_path, monkeypatch):
     for name, value in {"BODIES": 2, "EVERY": 60, "EVERYDAY": 50, "FARTHER": 30, "ENCODED_BODIES": 20}.items():
         monkeypatch.setattr(rounded_models, name, value)
     rig = load_body_model().rig
-    widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32}
+    widths = {"pose_widths": (64,) * 3, "deformer_widths": (64,) * 3, "width": 32, "pose_rank": pose_rank}
     model = random_model(np.random.default_rng(0), rig=rig, rings=20, nodes=40, detail_nodes=30, **widths)
     rounded, finely = rounded_model(model), rounded_model(model, finely=True)
     sizes = []

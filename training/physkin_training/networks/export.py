@@ -120,7 +120,8 @@ def drape_from_model(model: GarmentModel) -> Drape:
     drape = Drape(model.garment, nodes, model.rig, network_config(model), detail_nodes)
     for network in ("pose_modulator", "node_deformer"):
         for index, (weight, bias) in enumerate(getattr(model, network)):
-            state |= {f"{network}.layers.{index}.weight": weight, f"{network}.layers.{index}.bias": bias}
+            state |= {f"{network}.layers.{index}.weight": weight}
+            state |= {f"{network}.layers.{index}.bias": bias} if len(bias) else {}
     as_tensors = {key: torch.as_tensor(np.array(array)) for key, array in state.items()}
     drape.networks.load_state_dict(drape.networks.state_dict() | as_tensors)
     drape.influence_bias.masked_fill_(torch.as_tensor(model.influence_weights == 0), float("-inf"))
@@ -130,9 +131,11 @@ def drape_from_model(model: GarmentModel) -> Drape:
 def network_config(model: GarmentModel) -> NetworkConfig:
     """Sizes of a garment model's networks."""
     blocks = sum(key.endswith(".norm.weight") and key.startswith("residual") for key in model.hyper_modulator)
+    projections = [weight for weight, bias in model.pose_modulator if not len(bias)]
     return NetworkConfig(
         pose_hidden=len(model.pose_modulator[0][1]),
-        pose_layers=len(model.pose_modulator) - 1,
+        pose_layers=len(model.pose_modulator) - len(projections) - 1,
+        pose_rank=len(projections[0]) if projections else 0,
         deformer_hidden=len(model.node_deformer[0][1]),
         deformer_layers=len(model.node_deformer) - 1,
         token_width=len(model.hyper_modulator["embed.bias"]),
@@ -246,5 +249,7 @@ def _layers(network: ModulatedMLP) -> tuple:
     return tuple(_numpy(layer.weight, layer.bias) for layer in network.layers)
 
 
-def _numpy(weight: torch.Tensor, bias: torch.Tensor) -> Layer:
+def _numpy(weight: torch.Tensor, bias: torch.Tensor | None) -> Layer:
+    """A layer; of a projection, whose bias is None, with an empty one."""
+    bias = weight.new_empty(0) if bias is None else bias
     return weight.detach().cpu().numpy(), bias.detach().cpu().numpy()

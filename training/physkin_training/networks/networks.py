@@ -23,19 +23,24 @@ LINEAR_UNIT, SHIFT_UNIT = 0.2, 0.03
 
 
 class ModulatedMLP(nn.Module):
-    """Hidden layers silu((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero."""
+    """Hidden layers silu((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero. rank: of all
+    layers but the first, each then a projection and a layer; 0: full."""
 
-    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int) -> None:
+    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int, *, rank: int = 0) -> None:
         super().__init__()
-        sizes = [inputs, *[hidden] * hidden_layers]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, [*sizes[1:], outputs], strict=True))
+        widths = [*[hidden] * hidden_layers, outputs]
+        self.layers = nn.ModuleList([nn.Linear(inputs, widths[0])])
+        for before, after in zip(widths, widths[1:]):
+            if rank:
+                self.layers.append(nn.Linear(before, rank, bias=False))
+            self.layers.append(nn.Linear(rank or before, after))
         nn.init.normal_(self.layers[-1].weight, std=1e-3)
         nn.init.zeros_(self.layers[-1].bias)
 
     @property
     def modulation_size(self) -> int:
         """Numbers of modulation this network takes."""
-        return 2 * sum(layer.out_features for layer in self.layers[:-1])
+        return 2 * sum(layer.out_features for layer in self.layers[:-1] if layer.bias is not None)
 
     def forward(self, x: torch.Tensor, modulation: torch.Tensor) -> torch.Tensor:
         """x: (B, in). modulation: (B, modulation_size). Returns (B, out)."""
@@ -45,6 +50,9 @@ class ModulatedMLP(nn.Module):
         """What the linear layer reads, (B, hidden)."""
         start = 0
         for layer in self.layers[:-1]:
+            if layer.bias is None:
+                x = layer(x)
+                continue
             scale, shift = modulation[:, start : start + 2 * layer.out_features].chunk(2, dim=-1)
             x = functional.silu(torch.addcmul(shift, 1 + scale, layer(x)))
             start += 2 * layer.out_features
@@ -136,7 +144,11 @@ class Networks(nn.Module):
         numbers = 12 * node_count
         self.node_deformer = ModulatedMLP(numbers, config.deformer_hidden, config.deformer_layers, numbers)
         self.pose_modulator = ModulatedMLP(
-            pose_size, config.pose_hidden, config.pose_layers, self.node_deformer.modulation_size
+            pose_size,
+            config.pose_hidden,
+            config.pose_layers,
+            self.node_deformer.modulation_size,
+            rank=config.pose_rank,
         )
         self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
         self.detail = None if detail is None else DetailNetwork(config.deformer_hidden, detail.features, detail.count)

@@ -46,6 +46,8 @@ ENCODED_BODIES, ENCODED_POINTS, AT_ONCE = 256, 512, 16
 read only one vector of each. How many points of each, an eighth of the usual number, which is enough for the other
 layers. How many bodies at a time."""
 POSE_HIDDEN, POSE_LAST = Rounding(12), Rounding(16, alike=True)
+POSE_OF_LOW_RANK = Rounding(3), Rounding(4, alike=True)
+"""What few numbers pass through has no others that could make up for it."""
 DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST = Rounding(32, four=True, damping=1e-4), Rounding(3), Rounding(3)
 FEATURES, OFFSETS = Rounding(2), Rounding(2, alike=True)
 ENCODER, ENCODER_OUTPUT = Rounding(24), Rounding(48)
@@ -70,9 +72,9 @@ def rounded_model(
     rounded = replace(model, hyper_modulator=encoder)
     frames = _frames(model, rounded, body_model, device, random)
     pose = _Pass(frames.poses, frames.poses, every)
-    pose_layers = _rounded(
-        model.pose_modulator, pose, (frames.exact_modulation, frames.modulation), (None, POSE_HIDDEN, POSE_LAST)
-    )
+    full_rank = all(len(bias) for _, bias in model.pose_modulator)
+    plan = (None, *((POSE_HIDDEN, POSE_LAST) if full_rank else POSE_OF_LOW_RANK))
+    pose_layers = _rounded(model.pose_modulator, pose, (frames.exact_modulation, frames.modulation), plan)
     deformer = _Pass(frames.nodes, frames.nodes, every)
     plan = (DEFORMER_FIRST, DEFORMER_HIDDEN, DEFORMER_LAST)
     deformer_layers = _rounded(model.node_deformer, deformer, (pose.exact, pose.rounded), plan)
@@ -124,8 +126,10 @@ def _rounded(
     for (weight, bias), rounding in zip(layers, plans, strict=True):
         rounded = on.round(weight, rounding)
         result.append((rounded, bias))
-        outputs = [on.exact @ weight.T + bias, on.rounded @ rounded.T + bias]
-        if part := next(parts, None):
+        offset = bias if len(bias) else 0.0
+        outputs = [on.exact @ weight.T + offset, on.rounded @ rounded.T + offset]
+        part = next(parts, None)
+        if part and len(bias):
             outputs = [silu((1 + scale) * x + shift) for x, (scale, shift) in zip(outputs, part)]
         on.go_on(*outputs)
     return tuple(result)
