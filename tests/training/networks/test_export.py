@@ -11,7 +11,8 @@ from random_models import random_model
 from training.small_runs import SMALL_DETAIL, exported, networks_alone, run, small_config
 
 from physkin_core import Draper, avatar_from_body, load_body_model, load_garment_model, save_garment_model
-from physkin_core.runtime.binding import encode_body
+from physkin_core.runtime.body_encoder import encode_body
+from physkin_core.runtime.low_rank import low_rank_layers
 from physkin_training.evaluate.plain_model import plain_model
 from physkin_training.networks import export
 from physkin_training.networks.export import (
@@ -97,6 +98,15 @@ def test_a_model_made_to_measure_agrees_both_ways(tmp_path):
         twin.networks.hyper_modulator.fit += 1
     assert agreement(model, twin, poses=1).largest < 1e-4, "one pose is at the template"
     assert agreement(model, twin, poses=4).largest > 1e-4
+
+
+def test_a_wide_pose_modulator_agrees():
+    """One that the run time narrows for a body, by far more than the two may differ."""
+    rng = np.random.default_rng(2)
+    model = random_model(rng, rig=BODY.rig, rings=20, nodes=20, pose_widths=(400, 400), deformer_widths=(64, 64))
+    assert agreement(model, drape_from_model(model), poses=2).largest < 1e-4
+    narrow = low_rank_layers([model.pose_modulator], model.rig)
+    assert len(narrow) > len(model.pose_modulator)
 
 
 def test_agreement_sees_a_difference(trained):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,14 @@ from physkin_core.model.detail import Detail
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import GarmentModel, Material
 from physkin_core.model.hyper_modulator import POINT_COUNT
-from physkin_core.model.mlp import Layer
+from physkin_core.model.mlp import Layer, float32_layers, fold_modulation
 from physkin_core.model.model_file import load_garment_model, save_garment_model
 from physkin_core.model.surface_sampling import sample_surface
-from physkin_core.outfit.draper import Draper
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.binding import bind_garment
+from physkin_core.runtime.body_encoder import encode_body
+from physkin_core.runtime.evaluator import drape_poses
+from physkin_core.runtime.garment_on_body import put_on_body
 from physkin_training.config import NetworkConfig
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
@@ -170,7 +173,8 @@ class Agreement:
 
 def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8) -> Agreement:
     """How far the run time's drape of `model`, with network weights in fp32, is from the torch `drape`, on random poses
-    of a held-out body, every second one made to measure, with the rest shape that the run time finds.
+    of a held-out body, every second one made to measure, with the rest shape that the run time finds; without contact
+    and with pose modulators of full rank, which the run time narrows for each body.
 
     With the trained drape this is what pruning and rounding in the file cost; with `drape_from_model(model)` it tells
     whether run time and torch compute the same.
@@ -181,9 +185,11 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8) -> Agreement
     generator = np.random.default_rng(0)
     distances = []
     fits = (0.0, 1.0)
-    drapers = [Draper(model, avatar, fit=fit, precision="fp32") for fit in fits]
-    for draper in drapers:  # torch does not compute contact with the skin
-        draper.outfit = draper.outfit.with_bound_garment(0, draper.bound.without_contact)
+    worn = [bind_garment(model, avatar, fit=fit).without_contact for fit in fits]
+    for index, fit in enumerate(fits):
+        encoded = encode_body(model, put_on_body(model, avatar, fit).seen, fit=fit)
+        full = float32_layers(fold_modulation(model.pose_modulator, encoded))
+        worn[index] = replace(worn[index], pose_layers=full)
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=torch.float32, device=device)[None]
@@ -193,19 +199,19 @@ def agreement(model: GarmentModel, drape: Drape, *, poses: int = 8) -> Agreement
         carried = drape.node_positions(BodySet(body_model, body_model.held_out_bodies[:1], device))
         for pose in range(poses):
             index = pose % len(fits)
-            draper, modulation = drapers[index], modulations[index]
+            bound, modulation = worn[index], modulations[index]
             node_positions, rest = carried, None
             if index:
-                bound = draper.bound
                 node_positions = tensor(bound.node_positions)
                 rest = RestShape(tensor(bound.vertices), tensor(bound.node_rest))
             positions = generator.uniform(rig.lower, rig.upper).astype(np.float32)
             gravity = generator.normal(size=3)
             gravity = (gravity / np.linalg.norm(gravity)).astype(np.float32)
-            arrays = (draper.bone_transforms(positions), positions, gravity)
+            arrays = (rig.bone_transforms(positions, heads=avatar.bone_heads), positions, gravity)
             bones, q, g = (tensor(array) for array in arrays)
             there = drape(modulation, q, g, drape.posed_nodes(bones, node_positions), rest)[0].cpu().numpy()
-            distances.append(np.linalg.norm(draper.drape(positions, gravity)[:, :3] - there, axis=1))
+            (here,) = drape_poses(bound, [(positions, gravity)], precision="fp32")
+            distances.append(np.linalg.norm(here[:, :3] - there, axis=1))
     return Agreement(float(np.max(distances)), float(np.mean(distances)))
 
 
