@@ -65,7 +65,7 @@ class ObjFile:
 def read_obj(path: Path) -> ObjFile:
     """Read a file. Raises OSError where it cannot be opened, ContentError for lines that are not as the format has
     them, and for faces and line elements at vertices or texture coordinates that are not there."""
-    lines = tuple(read_text(path).replace("\\\n", " ").split("\n"))
+    lines = tuple(read_text(path).replace("\\\n", " ").removesuffix("\n").split("\n"))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     line_elements: list[tuple[int, int]] = []
     now, names, polygons = FaceNames(), {}, 0

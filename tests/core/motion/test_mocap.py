@@ -373,6 +373,19 @@ def test_broken_skeletons_are_refused(old, new, reason, rig, tmp_path):
         load_mocap(path, rig)
 
 
+def test_skeletons_and_poses_as_tools_write_them(rig, tmp_path):
+    """Tabs, doubled line ends, decimal commas and a mark of the byte order in ASF and AMC; a half line is named."""
+    path = write_amc(tmp_path, [POSE] * 2)
+    plain, half = load_mocap(path, rig)[0], path.read_text().rstrip().rpartition(" ")[0]
+    for file in (path, tmp_path / "07.asf"):
+        text = file.read_text().replace(" ", "\t").replace(".", ",").replace("\n", "\r\r\n")
+        file.write_bytes(text.encode("utf-16"))
+    np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
+    path.write_text(half)
+    with pytest.raises(MotionError, match="line 34: 'rwrist' has '.*', allowed are 3 finite numbers"):
+        load_mocap(path, rig)
+
+
 def test_amc_needs_its_skeleton(rig, tmp_path):
     """And a rate that makes sense."""
     path = write_amc(tmp_path, [POSE])
