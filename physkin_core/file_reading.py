@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import json
-import math
 import os
 import re
 import reprlib
@@ -23,7 +22,6 @@ __all__ = [
     "LONGEST_SENTENCE",
     "ContentError",
     "file_beside",
-    "finite_numbers",
     "listed",
     "read_bytes",
     "read_json",
@@ -40,12 +38,6 @@ LONGEST_SENTENCE = 300  # [characters] of an error
 LONGEST_VALUE = 60  # [characters] of a value in an error
 LISTED = 4
 """Of many names in an error."""
-BYTE_ORDER_MARKS = {
-    codecs.BOM_UTF8: "utf-8-sig",
-    codecs.BOM_UTF32_LE: "utf-32",  # begins as UTF-16 does
-    codecs.BOM_UTF16_LE: "utf-16",
-    codecs.BOM_UTF16_BE: "utf-16",
-}
 LONGEST_INTEGER = 1 << 10  # [bits]; Python refuses to write much longer ones
 
 
@@ -76,17 +68,18 @@ def read_text(path: Path, *, most: int = LARGEST_FILE) -> str:
 
 
 def text_of(content: bytes) -> str:
-    """Text as programs write it, with plain line ends: UTF-8, or UTF-16 with a byte order mark or without; what is
-    neither is taken as Shift-JIS or Latin-1. Raises ContentError for a zero byte, with its line."""
-    encoding = next((name for mark, name in BYTE_ORDER_MARKS.items() if content.startswith(mark)), "utf-8")
-    if encoding == "utf-8" and 0 in content[:2] != b"\0\0":
-        encoding = "utf-16-be" if content[0] == 0 else "utf-16-le"
-    try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        if encoding != "utf-8":
-            raise ContentError(f"it is cut off, or no text: {error}") from error
-        text = _text_of_names(content)
+    """Text as programs write it, with plain line ends: UTF-8, UTF-16, or else Shift-JIS or Latin-1.
+
+    Raises ContentError for a zero byte, with its line."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = content.decode("utf-16", "replace")
+    elif 0 in content[:2] != b"\0\0":
+        text = content.decode("utf-16-be" if content[0] == 0 else "utf-16-le", "replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:  # Latin-1 has no letters where Shift-JIS's kana begin
+            text = content.decode("cp932" if re.search(rb"[\x81-\x9f]", content) else "latin-1", "replace")
     text = text.rstrip("\0")  # a disk's last block
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
@@ -95,13 +88,11 @@ def text_of(content: bytes) -> str:
 
 
 def with_decimal_points(line: str) -> str:
-    """A line with points for decimal commas, and blanks for the commas and semicolons that separate numbers."""
-    if ";" in line:
-        line = line.replace(";", " ")
-    if "," not in line:
+    """A line with points for decimal commas, and blanks for commas and semicolons that separate numbers."""
+    if "," not in line and ";" not in line:
         return line
-    separators = "." in line or re.search(r",(\s|$|[^\s,]*,)", line)
-    return line.replace(",", " " if separators else ".")
+    line = line.replace(";", " ")
+    return line.replace(",", " " if "." in line or re.search(r",(\s|$|[^\s,]*,)", line) else ".")
 
 
 def read_json(content: bytes) -> object:
@@ -125,15 +116,6 @@ def file_beside(file: Path, name: str) -> Path:
     if not there:
         raise ContentError(f"it names {shown(name)}, which does not exist beside it")
     return beside
-
-
-def finite_numbers(words: Collection[str]) -> list[float]:
-    """The numbers that words are; none where one is no finite number."""
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return []
-    return numbers if all(map(math.isfinite, numbers)) else []
 
 
 @contextmanager
@@ -180,14 +162,6 @@ def listed(names: Collection[object], most: int = LISTED) -> str:
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = LONGEST_VALUE
-
-
-def _text_of_names(content: bytes) -> str:
-    """Of a text that is no UTF-8: only names are not ASCII. Latin-1 has no letters where Shift-JIS's kana begin."""
-    try:
-        return content.decode("cp932" if re.search(rb"[\x81-\x9f]", content) else "latin-1")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
 
 
 def _open_at_once(path: str, flags: int) -> int:

@@ -89,7 +89,7 @@ def load_mocap(
 
 def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Skeleton:
     if path.suffix.lower() == ".bvh":
-        return read_bvh(path)
+        return read_bvh(read_text(path), name=str(path))
     asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
     with reading(f"skeleton {asf}", MotionError):
         bones = read_text(asf, most=LARGEST_SKELETON)

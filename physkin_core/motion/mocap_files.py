@@ -5,18 +5,21 @@ Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in de
 
 from __future__ import annotations
 
+import math
+import re
 from array import array
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.file_reading import ContentError, finite_numbers, shown, with_decimal_points
+from physkin_core.file_reading import ContentError, shown, with_decimal_points
 from physkin_core.rig.rig import ancestors
 
-__all__ = ["MOST_JOINTS", "Joint", "Skeleton", "read_amc"]
+__all__ = ["MOST_JOINTS", "Joint", "Skeleton", "numbers_of", "read_amc"]
 
+NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?", re.IGNORECASE)
 NO_TURN = Rotation.identity()
 MOST_JOINTS = 1000
 """A skeleton with fingers and a face has a hundred or two."""
@@ -107,13 +110,7 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
     for number, line in enumerate(text.split("\n"), 1):
         name, *words = with_decimal_points(line).split() or [""]
         if name in frames:
-            row = finite_numbers(words)
-            if len(row) != len(channels_of[name]):
-                raise ContentError(
-                    f"line {number}: {shown(name)} has {shown(' '.join(words))}, allowed are {len(channels_of[name])} "
-                    "finite numbers"
-                )
-            frames[name].extend(row)
+            frames[name].extend(numbers_of(words, len(channels_of[name]), number))
         elif not words and name.isdigit():
             count += 1
     index = {name: k for k, name in enumerate(parent_of)}
@@ -138,6 +135,18 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
         angles = values[:, ::-1] if channels else np.empty((count, 0))
         joints.append(Joint(name, index[parent], offset + np.zeros(3), letters[::-1], angles, axes=axes))
     return Skeleton(tuple(joints), rate_hz)
+
+
+def numbers_of(words: Sequence[str], count: int, line: int) -> list[float]:
+    """The `count` finite numbers that words of a line are. Raises ContentError, naming it, where they are not."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        wrong = next((word for word in words if not NUMBER.fullmatch(word)), f"{len(words)} values")
+        raise ContentError(f"line {line} has {shown(wrong)}; allowed are {count} finite numbers")
+    return numbers
 
 
 def _parents(hierarchy: str, bones: Collection[str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
+from physkin_core.file_reading import read_text
 from physkin_core.motion.bvh_file import read_bvh
 from physkin_core.motion.mocap import load_mocap
 from physkin_core.progress import progress_line
@@ -228,7 +229,7 @@ def test_text_as_tools_write_it(change, rig, tmp_path):
     np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32", "shift-jis", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "shift-jis", "latin-1"])
 def test_encodings(encoding, rig, tmp_path):
     """Names of other alphabets are read, and the rest as ever."""
     name = "Spiné" if encoding == "latin-1" else "背骨ボーン"
@@ -236,7 +237,7 @@ def test_encodings(encoding, rig, tmp_path):
     plain, text = load_mocap(path, rig)[0], path.read_text()
     path.write_bytes(text.replace("JOINT Spine1", f"JOINT {name}").encode(encoding))
     np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
-    assert read_bvh(path).joints[1].name == name
+    assert read_bvh(read_text(path)).joints[1].name == name
 
 
 @pytest.mark.parametrize("offsets", ["equal", "zero", "of another unit", "to which positions are added"])
@@ -283,7 +284,7 @@ def test_equal_names_and_names_with_spaces(rig, tmp_path):
     plain, text = load_mocap(path, rig)[0], path.read_text()
     spaced = re.sub("(Left|Right)([A-Z][a-z]*)", r"Bip001 \1 \2", text.replace("Spine1", "Hips"))
     path.write_text(spaced)
-    assert read_bvh(path).joints[1].name == read_bvh(path).joints[0].name
+    assert {joint.name for joint in read_bvh(spaced).joints[:2]} == {"Hips"}
     np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
 
 
@@ -304,21 +305,31 @@ def test_fast_clips_are_thinned(rig, tmp_path):
             lambda text: text.replace("Frame Time: ", "Frame Time: s"),
             "SECONDS' must follow MOTION, got 's0",
         ),
-        (lambda text: text.replace("Frame Time", "Time"), "'Frame Time: SECONDS' must follow MOTION, got 'none'"),
+        (lambda text: text.replace("Frame Time", "Time"), "line 99 has 'Time:'; allowed are 48 finite numbers"),
         (
             lambda text: text.rstrip()[:-4],
-            "line 101, frame 2 of 2, has 46 values, channels are 48; .* remove",
+            "line 101 has '46 values'; allowed are 48 finite numbers",
         ),
-        (lambda text: text + "0 " * 48 + "0\n0", "line 102, frame 3 of 4, has 49 values"),
-        (lambda text: text.replace(" 95 ", " nan "), "line 100, frame 1 of 2, has 'nan'; values must be finite"),
-        (lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 20"), "line 8: OFFSET must have three finite numbers"),
-        (lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 x 0"), "line 8: OFFSET must have three finite numbers"),
+        (lambda text: text + "0 " * 48 + "0\n0", "line 102 has '49 values'"),
+        (lambda text: text.replace(" 95 ", " nan "), "line 100 has 'nan'; allowed are 48 finite numbers"),
+        (
+            lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 20"),
+            "line 8 has '2 values'; allowed are 3 finite numbers",
+        ),
+        (lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 x 0"), "line 8 has 'x'; allowed are 3 finite numbers"),
         (lambda text: text.replace("OFFSET 0 20", "OFSET 0 20"), "line 8: 'OFSET' cannot stand within 2 open braces"),
         (lambda text: text.replace("Zrot", "Wrot", 1), "line 5: 'Wrotation' cannot stand within 1 open"),
         (lambda text: text.replace("Zrot", "Xrot", 1), "line 5: joint 'Hips' has channel Xrotation twice"),
         (lambda text: text.replace("}", "", 1), "line 97: 'MOTION' cannot stand within 1 open braces"),
-        (lambda text: text.replace("MOTION", "}\nMOTION"), "line 97: '}' cannot stand here; allowed are ROOT, JOINT"),
+        (
+            lambda text: text.replace("MOTION", "}\nMOTION"),
+            "line 97: '}' cannot stand within 0 open braces; allowed are ROOT, JOINT",
+        ),
         (lambda text: text.replace("Spine1", "Spi\0ne1"), "line 6 has a zero byte"),
+        (
+            lambda text: text.replace("Frame Time: 0.016666666666666666\n", ""),
+            "'Frame Time: SECONDS' must .* got 'none'",
+        ),
         (lambda text: text.partition("Frames")[0] + "Frame Time: 1", "no frames after its frame time"),
         (
             lambda text: text.replace("Frame Time: ", "Frame Time: 3600"),
@@ -382,7 +393,7 @@ def test_skeletons_and_poses_as_tools_write_them(rig, tmp_path):
         file.write_bytes(text.encode("utf-16"))
     np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
     path.write_text(half)
-    with pytest.raises(MotionError, match="line 34: 'rwrist' has '.*', allowed are 3 finite numbers"):
+    with pytest.raises(MotionError, match="line 34 has '2 values'; allowed are 3 finite numbers"):
         load_mocap(path, rig)
 
 
