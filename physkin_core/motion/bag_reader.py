@@ -1,6 +1,6 @@
 """Bags of ROS 2 read without ROS: joint states, gravity, and where the root is (extra `[replay]`).
 
-A bag is a folder with `metadata.yaml` or a single recording, or an .mcap or .db3 file. Times are those of recording [ns].
+A bag is a folder with `metadata.yaml` or one recording, or a single .mcap or .db3 file. Times are of recording [ns].
 """
 
 from __future__ import annotations

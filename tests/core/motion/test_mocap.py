@@ -2,73 +2,24 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from bvh_clips import JOINTS, POSE, write_bvh
 from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
-from physkin_core.file_reading import read_text
-from physkin_core.motion.bvh_file import read_bvh
 from physkin_core.motion.mocap import load_mocap
 from physkin_core.progress import progress_line
 
-# name, parent, offset from the parent (Y up, looks along Z, left is X), arms stretched out sideways
-JOINTS = [
-    ("Hips", None, (0, 0, 0)),
-    ("Spine1", "Hips", (0, 20, 0)),
-    ("Head", "Spine1", (0, 30, 0)),
-]
-for _side, _x in (("Left", 1), ("Right", -1)):
-    JOINTS += [
-        (f"{_side}UpLeg", "Hips", (10 * _x, -5, 0)),
-        (f"{_side}Leg", f"{_side}UpLeg", (0, -45, 0)),
-        (f"{_side}Foot", f"{_side}Leg", (0, -45, 0)),
-        (f"{_side}Arm", "Spine1", (20 * _x, 25, 0)),
-        (f"{_side}ForeArm", f"{_side}Arm", (30 * _x, 0, 0)),
-        (f"{_side}Hand", f"{_side}ForeArm", (25 * _x, 0, 0)),
-    ]
 ASF_NAMES = {"Hips": "root", "Spine1": "thorax", "Head": "head"}
 for _side in ("Left", "Right"):
     for _name, _bone in (("UpLeg", "femur"), ("Leg", "tibia"), ("Foot", "foot")):
         ASF_NAMES[f"{_side}{_name}"] = _side[0].lower() + _bone
     for _name, _bone in (("Arm", "humerus"), ("ForeArm", "radius"), ("Hand", "wrist")):
         ASF_NAMES[f"{_side}{_name}"] = _side[0].lower() + _bone
-
-
-def write_bvh(path, frames, *, rate=60, joints=JOINTS, renamed=lambda name: name):
-    """frames: joint -> degrees about Z, X and Y (intrinsic), others at rest; `position` of the hips."""
-    children = {name: [child for child, parent, _ in joints if parent == name] for name, *_ in joints}
-    offset = {name: offset for name, _, offset in joints}
-    order, lines = [], ["HIERARCHY"]
-
-    def joint(name, keyword):
-        order.append(name)
-        kept = "Xposition Yposition Zposition " if keyword == "ROOT" or name == "Hips" else ""
-        channels = f"CHANNELS {6 if kept else 3} {kept}Zrotation Xrotation Yrotation"
-        lines.extend([f"{keyword} {renamed(name)}", "{", "OFFSET {} {} {}".format(*offset[name]), channels])
-        for child in children[name]:
-            joint(child, "JOINT")
-        if not children[name]:
-            lines.extend(["End Site", "{", "OFFSET 0 5 0", "}"])
-        lines.append("}")
-
-    joint(joints[0][0], "ROOT")
-    lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate}"]
-    for frame in frames:
-        values = []
-        for name in order:
-            if name == "Hips":
-                values += frame.get("position", (0, 95, 0))
-            elif name == order[0]:
-                values += (0, 0, 0)
-            values += frame.get(name, (0, 0, 0))
-        lines.append(" ".join(map(str, values)))
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 def write_along_bones(path, frames):
@@ -142,14 +93,6 @@ def angle(directions, expected):
 
 
 FIELDS = ("positions", "root_orientation", "root_position")
-# Left arm hangs and its elbow bends forward by a right angle; the right one hangs; the right knee is pulled up.
-POSE = {
-    "LeftArm": (-80, 0, 0),
-    "LeftForeArm": (0, 0, -90),
-    "RightArm": (80, 0, 0),
-    "RightUpLeg": (0, -60, 0),
-    "RightLeg": (0, 60, 0),
-}
 
 
 @pytest.mark.parametrize("kind", ["bvh", "along bones", "amc"])
@@ -195,158 +138,10 @@ def test_root_faces_x_stands_and_walks(rig, tmp_path):
     assert turned == pytest.approx(30, abs=0.5)
 
 
-def compact(text):
-    """The tree on one line."""
-    head, mark, data = text.partition("MOTION")
-    return " ".join(head.split()) + "\n" + mark + data
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda text: text.replace("End Site", "END SITE").replace("OFFSET", "Offset").replace("CHANNELS", "channels"),
-        lambda text: text.replace("MOTION", "motion").replace("Frames", "FRAMES").replace("Frame Time", "frame time"),
-        lambda text: text.replace("rotation", "Rotation").replace("position", "POSITION").replace("JOINT", "Joint"),
-        lambda text: text.replace("Frames:", "Frames").replace("Frame Time:", "FrameTime ="),
-        lambda text: text.replace(" ", "\t"),
-        lambda text: text.replace("\n", "\r\r\n"),
-        lambda text: text.replace("\n", "\r"),
-        lambda text: text.replace(" ", "\xa0"),
-        lambda text: text.replace("\n{", " {").replace("\n}", " }"),
-        compact,
-        lambda text: "# by hand\n\n" + text.replace("MOTION", "// frames\nMOTION").replace("{", "{  # begins", 3),
-        lambda text: text.replace("CHANNELS 3", "CHANNELS 6"),
-        lambda text: text.replace(".", ","),
-        lambda text: text.replace("Frame Time", "Frame_time").replace(" -", ", -"),
-        lambda text: text + "\0" * 100,
-    ],
-)
-def test_text_as_tools_write_it(change, rig, tmp_path):
-    """Keywords in any case, other blanks and line ends, braces and keywords on one line, remarks, commas."""
-    path = write_bvh(tmp_path / "a.bvh", [{**POSE, "position": (0, 95.5, 0)}] * 2)
-    plain = load_mocap(path, rig)[0]
-    path.write_bytes(change(path.read_text()).encode())
-    np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "shift-jis", "latin-1"])
-def test_encodings(encoding, rig, tmp_path):
-    """Names of other alphabets are read, and the rest as ever."""
-    name = "Spiné" if encoding == "latin-1" else "背骨ボーン"
-    path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
-    plain, text = load_mocap(path, rig)[0], path.read_text()
-    path.write_bytes(text.replace("JOINT Spine1", f"JOINT {name}").encode(encoding))
-    np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
-    assert read_bvh(read_text(path)).joints[1].name == name
-
-
-@pytest.mark.parametrize("offsets", ["equal", "zero", "of another unit", "to which positions are added"])
-def test_joints_with_positions(offsets, rig, tmp_path):
-    """Whatever the offsets are: the bones are as long as the positions make them, and hands end in the same place."""
-    path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
-    plain, text = load_mocap(path, rig)[0], path.read_text()
-    given = {name: np.array(offset, dtype=float) for name, _, offset in JOINTS}
-    scale = {"zero": 0.0, "of another unit": 0.01}.get(offsets, 1.0)
-    text = re.sub(
-        r"OFFSET (.*)\n", lambda line: f"OFFSET {' '.join(str(scale * float(v)) for v in line[1].split())}\n", text
-    )
-    text = text.replace("CHANNELS 3 ", "CHANNELS 6 Yposition Xposition Zposition ")
-    head, *rows = text.rstrip().rsplit("\n", 2)
-    names = re.findall("(?:ROOT|JOINT) (.*)", head)
-    moved = []
-    for row in rows:
-        values = row.split()
-        out = values[:6]
-        for k, name in enumerate(names[1:]):
-            place = np.zeros(3) if "added" in offsets else given[name][[1, 0, 2]]
-            out += [*map(str, place), *values[6 + 3 * k : 9 + 3 * k]]
-        moved.append(" ".join(out))
-    path.write_text("\n".join([head, *moved]) + "\n")
-    np.testing.assert_allclose(load_mocap(path, rig)[0].positions, plain.positions, atol=1e-5)
-
-
-def test_any_number_of_frames_is_taken(rig, tmp_path, caplog):
-    """What a file says is one warning; what it has is what comes."""
-    path = write_bvh(tmp_path / "a.bvh", [POSE] * 3)
-    text, plain = path.read_text(), load_mocap(path, rig)[0]
-    for said, shown in (("-1", "'-1'"), ("2", "'2'"), ("4", "'4'"), ("", "'no'")):
-        caplog.clear()
-        path.write_text(text.replace("Frames: 3\n", f"Frames: {said}\n" if said else ""))
-        np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
-        assert [record.message for record in caplog.records] == [
-            f"{path}: it says that it has {shown} frames; the 3 that it has are taken"
-        ]
-
-
-def test_equal_names_and_names_with_spaces(rig, tmp_path):
-    """A name is the rest of its line; joints are told apart by their place in the tree."""
-    path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
-    plain, text = load_mocap(path, rig)[0], path.read_text()
-    spaced = re.sub("(Left|Right)([A-Z][a-z]*)", r"Bip001 \1 \2", text.replace("Spine1", "Hips"))
-    path.write_text(spaced)
-    assert {joint.name for joint in read_bvh(spaced).joints[:2]} == {"Hips"}
-    np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
-
-
 def test_fast_clips_are_thinned(rig, tmp_path):
     """120 Hz becomes 60."""
     motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 9, rate=120), rig)
     assert motion.frame_count == 5 and motion.rate_hz == 60
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (
-            lambda text: text.replace("LeftForeArm", "Neck"),
-            "no joint for 3 of the 12 rig bones it must have: upperarm01.L, .*not recognised: .*'LeftArm'",
-        ),
-        (
-            lambda text: text.replace("Frame Time: ", "Frame Time: s"),
-            "SECONDS' must follow MOTION, got 's0",
-        ),
-        (lambda text: text.replace("Frame Time", "Time"), "line 99 has 'Time:'; allowed are 48 finite numbers"),
-        (
-            lambda text: text.rstrip()[:-4],
-            "line 101 has '46 values'; allowed are 48 finite numbers",
-        ),
-        (lambda text: text + "0 " * 48 + "0\n0", "line 102 has '49 values'"),
-        (lambda text: text.replace(" 95 ", " nan "), "line 100 has 'nan'; allowed are 48 finite numbers"),
-        (
-            lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 20"),
-            "line 8 has '2 values'; allowed are 3 finite numbers",
-        ),
-        (lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 x 0"), "line 8 has 'x'; allowed are 3 finite numbers"),
-        (lambda text: text.replace("OFFSET 0 20", "OFSET 0 20"), "line 8: 'OFSET' cannot stand within 2 open braces"),
-        (lambda text: text.replace("Zrot", "Wrot", 1), "line 5: 'Wrotation' cannot stand within 1 open"),
-        (lambda text: text.replace("Zrot", "Xrot", 1), "line 5: joint 'Hips' has channel Xrotation twice"),
-        (lambda text: text.replace("}", "", 1), "line 97: 'MOTION' cannot stand within 1 open braces"),
-        (
-            lambda text: text.replace("MOTION", "}\nMOTION"),
-            "line 97: '}' cannot stand within 0 open braces; allowed are ROOT, JOINT",
-        ),
-        (lambda text: text.replace("Spine1", "Spi\0ne1"), "line 6 has a zero byte"),
-        (
-            lambda text: text.replace("Frame Time: 0.016666666666666666\n", ""),
-            "'Frame Time: SECONDS' must .* got 'none'",
-        ),
-        (lambda text: text.partition("Frames")[0] + "Frame Time: 1", "no frames after its frame time"),
-        (
-            lambda text: text.replace("Frame Time: ", "Frame Time: 3600"),
-            "time is 36000 s, allowed are 1e-05 to 10 s",
-        ),
-        (lambda text: text.replace("Frame Time: ", "Frame Time: nan #"), "time is nan s"),
-        (lambda text: text.replace("JOINT", "JOINT a\n" * 1000 + "JOINT", 1), "line 1005: it has over 1000 joints"),
-        (lambda text: "", "no line MOTION"),
-        (lambda text: text.partition("MOTION")[0], "no line MOTION"),
-    ],
-)
-def test_broken_files_are_refused(change, reason, rig, tmp_path):
-    """The file is named, and what is wrong with it."""
-    path = write_bvh(tmp_path / "a.bvh", [POSE] * 2)
-    path.write_text(change(path.read_text()))
-    with pytest.raises(MotionError, match=f"a.bvh.*({reason})"):
-        load_mocap(path, rig)
 
 
 def test_long_clips_are_refused(rig, tmp_path):
