@@ -84,7 +84,7 @@ def text_of(content: bytes) -> str:
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise ContentError(f"line {line} has a zero byte: it is damaged, or no text")
-    return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def with_decimal_points(line: str) -> str:

@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 FRAME_TIMES = (1e-5, 10.0)  # [s]
 COMMENT = re.compile(r"^\s*(#|//).*|\s(#|//)\s.*")
 CHANNEL = re.compile(r"([XYZ])_?(ROT|POS|SCA)[A-Z]*", re.IGNORECASE)
-HEADING = re.compile(r"(frames|frame[\s_]*time)\s*[:=]?\s*([^\s:=]+)", re.IGNORECASE)
+HEADING = re.compile(r"(frames|frame[\s_]*time)[\s:=]*([^\s:=]+)", re.IGNORECASE)
 
 
 class _Entry(NamedTuple):

@@ -99,7 +99,11 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
     bones: dict[str, dict[str, list[str]]] = {"root": {}}
     for block in asf.partition(":bonedata")[2].partition(":hierarchy")[0].split("begin")[1:]:
         words = [with_decimal_points(line).split() for line in block.split("\n") if line.strip()]
-        fields = {keyword.lower(): values for keyword, *values in words}
+        fields = {keyword.lower(): values for keyword, *values in filter(None, words)}
+        if lacking := [key for key in ("name", "direction", "length", "axis") if not fields.get(key)]:
+            raise ContentError(
+                f"its skeleton's bone {shown(' '.join(fields.get('name', ['?'])))} lacks {', '.join(lacking)}"
+            )
         bones[fields["name"][0]] = fields
     _check_joint_count(len(bones))
     parent_of = _parents(asf.partition(":hierarchy")[2], bones)

@@ -164,6 +164,11 @@ def test_text_of_western_names():
     assert text_of(b"\x81\n{") == "\ufffd\n{"
 
 
+def test_line_ends_take_no_time():
+    """However many there are in a row, of either kind."""
+    assert text_of(b"\r" * 10**6 + b"x") == "\n" * 10**6 + "x"
+
+
 def test_what_is_no_text_is_refused():
     """With the line, where there is one."""
     with pytest.raises(ContentError, match="^line 3 has a zero byte: it is damaged, or no text$"):

@@ -9,7 +9,7 @@ import pytest
 from bvh_clips import JOINTS, POSE, write_bvh
 
 from physkin_core import MotionError, load_body_model
-from physkin_core.file_reading import read_text
+from physkin_core.file_reading import ContentError, read_text
 from physkin_core.motion.bvh_file import read_bvh
 from physkin_core.motion.mocap import load_mocap
 
@@ -87,6 +87,19 @@ def test_joints_with_positions(offsets, rig, tmp_path):
         moved.append(" ".join(out))
     path.write_text("\n".join([head, *moved]) + "\n")
     np.testing.assert_allclose(load_mocap(path, rig)[0].positions, plain.positions, atol=1e-5)
+
+
+def test_hostile_lines_take_no_time():
+    """Long ones, of words that go on or lead nowhere."""
+    tree = "ROOT a\n{\nCHANNELS 1 Xrotation\n}\nMOTION\n"
+    for text in (
+        "HIERARCHY " * 10**5,
+        "ROOT a " + "{ " * 10**5,
+        tree + "frames" + " " * 10**5,
+        tree + "frame" + " " * 10**5,
+    ):
+        with pytest.raises(ContentError):
+            read_bvh(text)
 
 
 def test_any_number_of_frames_is_taken(rig, tmp_path, caplog):

@@ -166,9 +166,11 @@ def test_long_clips_are_refused(rig, tmp_path):
             "begin\nthorax link2\nroot link1",
             "hangs bones on 'thorax', which no line before hangs on",
         ),
+        ("direction", "way", "skeleton's bone 'rwrist' lacks direction"),
+        ("name", "nombre", "bone '.' lacks name"),
         ("XYZ", "XYZ" + " a" * (1 << 21), "07.asf: '07.asf' has [0-9]+ bytes, allowed are 4194304"),
     ],
-    ids=["circle", "root", "nothing", "order", "size"],
+    ids=["circle", "root", "nothing", "order", "direction", "name", "size"],
 )
 def test_broken_skeletons_are_refused(old, new, reason, rig, tmp_path):
     """A hierarchy in a circle had no end, a file larger than any skeleton took four times its size."""
