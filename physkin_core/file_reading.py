@@ -6,8 +6,10 @@ it is and makes all else that goes wrong the same kind of sentence.
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
+import re
 import reprlib
 import stat
 from collections.abc import Collection, Iterator
@@ -23,9 +25,12 @@ __all__ = [
     "listed",
     "read_bytes",
     "read_json",
+    "read_text",
     "reading",
     "sentence",
     "shown",
+    "text_of",
+    "with_decimal_points",
 ]
 
 LARGEST_FILE = 1 << 29  # [bytes]
@@ -57,10 +62,43 @@ def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
     return content
 
 
+def read_text(path: Path, *, most: int = LARGEST_FILE) -> str:
+    """The text of a file. Raises as `read_bytes` and `text_of` do."""
+    return text_of(read_bytes(path, most=most))
+
+
+def text_of(content: bytes) -> str:
+    """Text as programs write it, with plain line ends: UTF-8, UTF-16, or else Shift-JIS or Latin-1.
+
+    Raises ContentError for a zero byte, with its line."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        text = content.decode("utf-16", "replace")
+    elif 0 in content[:2] != b"\0\0":
+        text = content.decode("utf-16-be" if content[0] == 0 else "utf-16-le", "replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:  # Latin-1 has no letters where Shift-JIS's kana begin
+            text = content.decode("cp932" if re.search(rb"[\x81-\x9f]", content) else "latin-1", "replace")
+    text = text.rstrip("\0")  # a disk's last block
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise ContentError(f"line {line} has a zero byte: it is damaged, or no text")
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def with_decimal_points(line: str) -> str:
+    """A line with points for decimal commas, and blanks for commas and semicolons that separate numbers."""
+    if "," not in line and ";" not in line:
+        return line
+    line = line.replace(";", " ")
+    return line.replace(",", " " if "." in line or re.search(r",(\s|$|[^\s,]*,)", line) else ".")
+
+
 def read_json(content: bytes) -> object:
     """The value of a JSON text. Raises ContentError where it is none."""
     try:
-        return json.loads(content)
+        return json.loads(text_of(content))
     except ValueError as error:
         raise ContentError(f"it is not JSON: {error}") from error
 

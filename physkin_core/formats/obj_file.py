@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physkin_core.file_reading import ContentError, read_bytes, shown
+from physkin_core.file_reading import ContentError, read_text, shown, with_decimal_points
 
 __all__ = ["FaceNames", "ObjFile", "read_obj"]
 
@@ -59,13 +59,13 @@ class ObjFile:
                 line = " ".join(["f", *("/".join(entry.split("/")[:2]).rstrip("/") for entry in entries)])
             if kind != "vn":
                 written.append(line)
-        path.write_text("\n".join(written) + "\n", encoding="utf-8", errors="surrogateescape")
+        path.write_text("\n".join(written) + "\n", encoding="utf-8")
 
 
 def read_obj(path: Path) -> ObjFile:
     """Read a file. Raises OSError where it cannot be opened, ContentError for lines that are not as the format has
     them, and for faces and line elements at vertices or texture coordinates that are not there."""
-    lines = _lines(read_bytes(path))
+    lines = tuple(read_text(path).replace("\\\n", " ").removesuffix("\n").split("\n"))
     vertices, places, faces, uv, face_names, libraries = [], [[np.nan, np.nan]], [], [], [], []
     line_elements: list[tuple[int, int]] = []
     now, names, polygons = FaceNames(), {}, 0
@@ -77,8 +77,7 @@ def read_obj(path: Path) -> ObjFile:
         elif kind == "vt":
             places.append(_numbers(line, [*entries[:2], "0"][:2], 2))
         elif kind in NAMING:
-            name = " ".join(entries).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-            now = now._replace(**{key: name for key in NAMING[kind]})
+            now = now._replace(**dict.fromkeys(NAMING[kind], " ".join(entries)))
         elif kind == "mtllib":
             libraries.append(" ".join(entries))
         elif kind == "l":
@@ -113,18 +112,14 @@ def read_obj(path: Path) -> ObjFile:
     return ObjFile(*shape, polygons, places[uv], tuple(names), named, tuple(libraries), ends, lines)
 
 
-def _lines(content: bytes) -> tuple[str, ...]:
-    """Lines of a file, continued ones joined."""
-    text = content.decode("utf-8", errors="surrogateescape")  # what is no UTF-8 is written as it was
-    return tuple(text.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ").splitlines())
-
-
 def _words(line: str) -> list[str]:
     """Keyword and entries of a line, without a comment; one empty word for none."""
     return line.partition(" #")[0].split() or [""]
 
 
 def _numbers(line: str, entries: list[str], count: int) -> list[float]:
+    if "," in line:
+        entries = _words(with_decimal_points(line))[1 : count + 1]
     with suppress(ValueError):
         if len(entries) == count:
             return [float(entry) for entry in entries]

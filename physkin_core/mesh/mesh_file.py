@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.file_reading import ContentError, file_beside, read_bytes, reading, sentence
+from physkin_core.file_reading import ContentError, file_beside, read_bytes, read_text, reading, sentence
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import drawn_primitives, in_scene
 from physkin_core.formats.obj_file import read_obj
@@ -125,7 +125,7 @@ def _library(path: Path, names: Sequence[str]) -> dict[str, bytes]:
         if not os.path.isfile(path.parent / name):
             continue
         library = file_beside(path, name)
-        for line in read_bytes(library).decode("utf-8", errors="replace").splitlines():
+        for line in read_text(library).split("\n"):
             before, named = _named_picture(library.parent, line)
             if named:
                 picture = file_beside(path, str(library.parent / named))

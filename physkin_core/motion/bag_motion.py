@@ -45,7 +45,8 @@ def load_bag_motion(path: str | Path) -> Motion:
     Times are the stamps, or those of recording if a message has no stamp. A joint that a message does not name is
     interpolated from messages that do. The root is where odometry (`/odom`) says, if that agrees with gravity; else it
     stays in one place, tilted as gravity says, or upright without it.
-    Messages that are damaged, or hold values that are not finite, are left out with a warning.
+    Positions that are not finite, and messages that are damaged, are left out with a warning; joint states that have no
+    positions, without one.
     Raises BagError for a bag that cannot be read, or has fewer than two joint states at different times.
     """
     kept: dict[str, list[_Sample]] = {"joint_state": [], "gravity": [], "odometry": []}
@@ -58,15 +59,20 @@ def load_bag_motion(path: str | Path) -> Motion:
             except ValueError:
                 left_out += 1
             else:
-                kept[message.kind].append(replace(sample, names=joint_names.setdefault(sample.names, sample.names)))
+                if len(sample.values):
+                    kept[message.kind].append(replace(sample, names=joint_names.setdefault(sample.names, sample.names)))
     if left_out:
         log.warning("bag %s: %d messages that cannot be used were left out", path, left_out)
+    if gaps := sum(not np.isfinite(sample.values).all() for sample in kept["joint_state"]):
+        log.warning("bag %s: positions of %d joint states are not finite; these are interpolated", path, gaps)
     if not all(sample.stamp_ns for samples in kept.values() for sample in samples):
         kept = {kind: [replace(each, stamp_ns=each.time_ns) for each in samples] for kind, samples in kept.items()}
     states, downs, roots = kept.values()
     times = np.unique([sample.stamp_ns for sample in states])
     if len(times) < 2:
-        raise BagError(f"bag {path}: a clip needs joint states at two times at least, {bag.topic} has {len(times)}")
+        raise BagError(
+            f"bag {path}: a clip needs joint states with positions at two times at least, {bag.topic} has {len(times)}"
+        )
     step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
     if length / step > min(MOST_FRAMES_A_STATE * len(times), MOST_FRAMES):
         raise BagError(
@@ -118,7 +124,7 @@ def _sample(recorded: Recorded) -> _Sample:
         values /= length if usable else 1.0
     else:
         names, values = tuple(message.name), np.asarray(message.position, dtype=np.float64)
-        usable = 0 < len(names) == len(values) and np.isfinite(values).all()
+        usable = len(names) > 0 and (len(names) == len(values) and np.isfinite(values).any() or not len(values))
     if not usable:
         raise ValueError(f"values {values.tolist()} of {', '.join(names)}")
     return _Sample(stamp.sec * 10**9 + stamp.nanosec, recorded.time_ns, names, values)
@@ -138,5 +144,7 @@ def _tracks(samples: Sequence[_Sample], frames: np.ndarray) -> dict[str, np.ndar
     for name, parts in known.items():
         times, values = np.concatenate(parts, axis=1)
         order = np.argsort(times, kind="stable")
-        tracks[name] = np.interp(frames, times[order], values[order])
+        order = order[np.isfinite(values[order])]
+        if len(order):
+            tracks[name] = np.interp(frames, times[order], values[order])
     return tracks

@@ -1,6 +1,6 @@
 """Bags of ROS 2 read without ROS: joint states, gravity, and where the root is (extra `[replay]`).
 
-A bag is a folder with `metadata.yaml`, or a single .mcap or .db3 file. Times are those of recording [ns].
+A bag is a folder with `metadata.yaml` or one recording, or a single .mcap or .db3 file. Times are of recording [ns].
 """
 
 from __future__ import annotations
@@ -92,7 +92,16 @@ class BagReader:
     ) -> None:
         self.path = Path(path)
         with bag_errors(self.path):
-            self._reader = Reader(self.path)
+            recording = self.path
+            if recording.is_dir() and not (recording / "metadata.yaml").exists():
+                found = [*recording.glob("*.mcap"), *recording.glob("*.db3")]
+                if len(found) != 1:
+                    raise ContentError(
+                        f"the folder has {len(found)} .mcap or .db3 files and no metadata.yaml, which ros2 bag reindex "
+                        "makes; without it one file is allowed"
+                    )
+                recording = found[0]
+            self._reader = Reader(recording)
             self._reader.open()
         try:
             types = {connection.topic: connection.msgtype for connection in self._reader.connections}

@@ -42,7 +42,7 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
 
     Args:
         path_or_name: the name of an included motion (`bundled_motions`); motion capture, .bvh or .amc, which is
-            retargeted to the default rig; a bag with joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a
+            retargeted to the default rig; a bag with joint states, .mcap, .db3 or their folder; or a
             file that `save_motion` wrote.
         watch: called while motion capture is read, with the fraction read so far, 0 to 1.
 
@@ -63,10 +63,11 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
         from physkin_core.motion.mocap import load_mocap
 
         return load_mocap(path, load_body_model().rig, watch=watch)[0]
-    if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
+    bundled = str(path_or_name) in bundled_motions()
+    if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file() or (path.is_dir() and not bundled):
         return _read_bag(path)
     if path.suffix != ".safetensors":
-        if str(path_or_name) not in bundled_motions():
+        if not bundled:
             raise MotionError(
                 f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
                 "(a clip of your own: give the path of its .safetensors, .bvh, .amc, .mcap or .db3 file, or of a bag's "

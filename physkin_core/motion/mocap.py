@@ -16,9 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.file_reading import LARGEST_FILE, ContentError, read_bytes, reading
+from physkin_core.file_reading import ContentError, read_text, reading
+from physkin_core.motion.bvh_file import read_bvh
 from physkin_core.motion.calibration_pose import calibration_frames
-from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
+from physkin_core.motion.mocap_files import Skeleton, read_amc
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.progress import Watch
@@ -88,15 +89,11 @@ def load_mocap(
 
 def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Skeleton:
     if path.suffix.lower() == ".bvh":
-        return read_bvh(_text(path))
+        return read_bvh(read_text(path), name=str(path))
     asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
     with reading(f"skeleton {asf}", MotionError):
-        bones = _text(asf, LARGEST_SKELETON)
-    return read_amc(_text(path), bones, source_rate_hz)
-
-
-def _text(path: Path, most: int = LARGEST_FILE) -> str:
-    return read_bytes(path, most=most).decode().replace("\r\n", "\n").replace("\r", "\n")
+        bones = read_text(asf, most=LARGEST_SKELETON)
+    return read_amc(read_text(path), bones, source_rate_hz)
 
 
 def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:

@@ -1,25 +1,28 @@
-"""Motion capture files, BVH and ASF/AMC: a tree of joints with offsets at rest and a rotation each a frame.
+"""Skeletons of motion capture, a tree of joints with offsets at rest and a rotation each a frame; ASF/AMC files.
 
 Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in degrees.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import math
+import re
+from array import array
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.file_reading import ContentError, shown
+from physkin_core.file_reading import ContentError, shown, with_decimal_points
 from physkin_core.rig.rig import ancestors
 
-__all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
+__all__ = ["MOST_JOINTS", "Joint", "Skeleton", "numbers_of", "read_amc"]
 
+NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?", re.IGNORECASE)
 NO_TURN = Rotation.identity()
 MOST_JOINTS = 1000
 """A skeleton with fingers and a face has a hundred or two."""
-FRAME_TIMES = (1e-5, 10.0)  # [s]
 
 
 @dataclass(frozen=True)
@@ -90,86 +93,40 @@ class Skeleton:
         return heads
 
 
-def read_bvh(text: str) -> Skeleton:
-    """Raises ContentError, ValueError, IndexError or KeyError for text that is no BVH."""
-    head, _, data = text.partition("MOTION")
-    joints, channels, stack = [], [], []
-    current = None  # None inside an End Site
-    for line in head.splitlines():
-        words = line.split()
-        if not words:
-            continue
-        keyword = words[0].upper()
-        if keyword in ("ROOT", "JOINT"):
-            current = len(joints)
-            joints.append((line.split(None, 1)[1].strip(), stack[-1] if stack else -1, np.zeros(3)))
-            channels.append([])
-        elif keyword == "END":
-            current = None
-        elif keyword == "OFFSET" and current is not None:
-            joints[current][2][:] = [float(word) for word in words[1:4]]
-        elif keyword == "CHANNELS" and current is not None:
-            channels[current] = [(word[0].upper(), word[1:].lower()) for word in words[2:]]
-        elif keyword == "{":
-            stack.append(current)
-        elif keyword == "}":
-            stack.pop()
-    _check_joint_count(len(joints))
-    lines = [line for line in data.splitlines() if line.strip()]
-    values = {" ".join(line.split(":")[0].split()): line.split(":")[1] for line in lines[:4] if ":" in line}
-    count, step = int(values["Frames"]), float(values["Frame Time"])
-    if not FRAME_TIMES[0] <= step <= FRAME_TIMES[1]:
-        raise ContentError(f"its frame time is {step:g} s, allowed are {FRAME_TIMES[0]:g} to {FRAME_TIMES[1]:g} s")
-    rows = [line for line in lines if ":" not in line]
-    frames = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 0))
-    width = sum(map(len, channels))
-    if count == 0 or frames.shape != (count, width) or not np.isfinite(frames).all():
-        raise ContentError(
-            f"its frames have the shape {frames.shape}, expected {shown((count, width))}, some, and finite"
-        )
-    found, column = [], 0
-    for (name, parent, offset), its in zip(joints, channels, strict=True):
-        mine = frames[:, column : column + len(its)]
-        column += len(its)
-        turns = [k for k, (_, kind) in enumerate(its) if kind == "rotation"]
-        places = None
-        if len(turns) < len(its):
-            places = np.tile(offset, (count, 1))
-            for k, (axis, kind) in enumerate(its):
-                if kind == "position":
-                    places[:, "XYZ".index(axis)] = mine[:, k]
-        found.append(Joint(name, parent, offset, "".join(its[k][0] for k in turns), mine[:, turns], places))
-    return Skeleton(tuple(found), 1 / step)
-
-
 def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
-    """An AMC file with its skeleton. Raises ContentError, ValueError, IndexError or KeyError where one is none."""
+    """An AMC file with its skeleton. Raises ContentError, with the line of the AMC, ValueError, IndexError or
+    KeyError where one is none."""
     bones: dict[str, dict[str, list[str]]] = {"root": {}}
     for block in asf.partition(":bonedata")[2].partition(":hierarchy")[0].split("begin")[1:]:
-        fields = {line.split()[0]: line.split()[1:] for line in block.splitlines() if line.split()}
+        words = [with_decimal_points(line).split() for line in block.split("\n") if line.strip()]
+        fields = {keyword.lower(): values for keyword, *values in filter(None, words)}
+        if lacking := [key for key in ("name", "direction", "length", "axis") if not fields.get(key)]:
+            raise ContentError(
+                f"its skeleton's bone {shown(' '.join(fields.get('name', ['?'])))} lacks {', '.join(lacking)}"
+            )
         bones[fields["name"][0]] = fields
     _check_joint_count(len(bones))
     parent_of = _parents(asf.partition(":hierarchy")[2], bones)
     order = asf.partition(":root")[2].partition("order")[2].split("\n")[0].upper().split()
-    frames: dict[str, list[str]] = {name: [] for name in bones}
+    channels_of = {name: bones[name].get("dof", []) if parent else order for name, parent in parent_of.items()}
+    frames = {name: array("d") for name, channels in channels_of.items() if channels}
     count = 0
-    for line in text.splitlines():
-        name, _, values = line.strip().partition(" ")
+    for number, line in enumerate(text.split("\n"), 1):
+        name, *words = with_decimal_points(line).split() or [""]
         if name in frames:
-            frames[name].append(values)
-        elif not values and name.isdigit():
+            frames[name].extend(numbers_of(words, len(channels_of[name]), number))
+        elif not words and name.isdigit():
             count += 1
     index = {name: k for k, name in enumerate(parent_of)}
     joints = []
     for name, parent in parent_of.items():
         fields = bones[name]
-        channels = fields.get("dof", []) if parent else order
+        channels = channels_of[name]
         if channels:
-            values = np.loadtxt(frames[name], ndmin=2) if frames[name] else np.empty((0, 0))
-            if count == 0 or values.shape != (count, len(channels)) or not np.isfinite(values).all():
-                expected = (count, len(channels))
+            values = np.array(frames[name]).reshape(-1, len(channels))
+            if not len(values) == count > 0:
                 raise ContentError(
-                    f"{shown(name)} has values of shape {values.shape}, expected {expected}, some, and finite"
+                    f"{shown(name)} has values in {len(values)} of {count} frames, expected all, and some"
                 )
         if not parent:
             turns, places = ([order.index(f"{kind}{axis}") for axis in "XYZ"] for kind in "RT")
@@ -184,10 +141,22 @@ def read_amc(text: str, asf: str, rate_hz: float) -> Skeleton:
     return Skeleton(tuple(joints), rate_hz)
 
 
+def numbers_of(words: Sequence[str], count: int, line: int) -> list[float]:
+    """The `count` finite numbers that words of a line are. Raises ContentError, naming it, where they are not."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        wrong = next((word for word in words if not NUMBER.fullmatch(word)), f"{len(words)} values")
+        raise ContentError(f"line {line} has {shown(wrong)}; allowed are {count} finite numbers")
+    return numbers
+
+
 def _parents(hierarchy: str, bones: Collection[str]) -> dict[str, str]:
     """The parent of each bone by name, parents first; that of the root is empty."""
     parent_of = {"root": ""}
-    for line in hierarchy.splitlines():
+    for line in hierarchy.split("\n"):
         parent, *children = line.split() or [""]
         if parent not in bones:
             continue

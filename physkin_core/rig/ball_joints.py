@@ -88,6 +88,11 @@ class BallJoints:
         angles = values[self._named]
         return angles if self._all_given else np.where(self._given, angles, 0.0)
 
+    def targets_without(self, angles: np.ndarray) -> np.ndarray:
+        """Which rig joints an angle that is not finite leaves undetermined: all of its ball joint."""
+        lost = ~np.isfinite(angles).all(axis=(0, 2, 3))
+        return self._rotations.targets[lost[self._rotations.owners]]
+
     def solve(self, angles: np.ndarray, positions: np.ndarray) -> None:
         """Write the rig's joints into `positions` (d,)."""
         first, second, third = self._axes.turn(angles)

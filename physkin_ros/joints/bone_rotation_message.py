@@ -50,6 +50,7 @@ class BoneRotationReader:
                 f"bone rotations have {len(names)} names and {len(rotations)} transforms; allowed are equal numbers "
                 f"from 1 to {MOST_NAMES}"
             )
+        names = [name.removeprefix(self._reader.prefix) for name in names]
         given = dict(zip(names, rotations))
         if len(given) != len(names):
             raise JointStateError("bone rotations name a bone twice")

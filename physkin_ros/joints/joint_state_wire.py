@@ -125,10 +125,7 @@ def _read_layout(data: bytes, reader: JointStateReader, out: np.ndarray) -> _Lay
     end = at
     offset = end + -(end - 4) % 8  # CDR aligns from after the four bytes of encapsulation
     try:
-        if not names:
-            raise JointStateError("the joint state names no joints")
-        if values != len(names):
-            raise JointStateError(f"the joint state has {len(names)} names but {values} positions")
+        reader.check_count(names, values)
         selection = reader.select(tuple(names))
         if selection.balls is None:
             swapped = (order == "<") != (sys.byteorder == "little")

@@ -16,7 +16,8 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, FrameInput
-from physkin_core.file_reading import sentence, shown
+from physkin_core.file_reading import listed, sentence, shown
+from physkin_ros.joints.joint_states import NoPositionsError
 from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.messages.topics import BONE_ROTATIONS, DRAPED_JOINT_STATES, JOINT_STATES, WIND
 from physkin_ros.middleware.quality_of_service import FollowingSubscription, stream_quality
@@ -102,6 +103,7 @@ class AvatarStream:
             raise ValueError(f"{self._label}the avatar is not there any more, nothing is loaded for it")
         loaded, previous = self._loader.load(settings), self.worn
         warners = {"on_unknown": self._warn_unknown, "on_degrees": self._warn_degrees}
+        warners["on_not_finite"] = self._warn_not_finite
         now = WornOutfit(settings, loaded, self.garments, self.root.frame_input, previous, **warners)
         if self._closed or not wanted():  # the body went meanwhile
             return loaded
@@ -129,6 +131,9 @@ class AvatarStream:
             return
         try:
             worn.wire.read(data)
+        except NoPositionsError:
+            self.statistics.count("without_positions")
+            return
         except ValueError as error:
             self._reject(error)
             return
@@ -240,6 +245,11 @@ class AvatarStream:
         reason = f"joint {shown(name)} is {value:g} rad; are these degrees?"
         self.statistics.count("implausible", reason)
         self._log.warning(f"{self._label}{reason} It is draped as it is.", throttle_duration_sec=WARNING_PERIOD)
+
+    def _warn_not_finite(self, names: list[str]) -> None:
+        reason = f"positions of {listed(names)} are not finite; these joints keep theirs"
+        self.statistics.count("not_finite", reason)
+        self._log.warning(f"{self._label}{reason}", throttle_duration_sec=WARNING_PERIOD)
 
     # Reports.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
-from physkin_core.file_reading import ContentError, read_bytes, reading, shown
+from physkin_core.file_reading import ContentError, read_text, reading, shown
 from physkin_ros.node.settings import NodeSettings, SettingsError
 from physkin_ros.node.settings_reading import read_settings
 
@@ -20,7 +20,7 @@ def load_config(path: str | Path) -> NodeSettings:
     """What a ROS 2 parameter file asks of the node. Raises SettingsError naming file, key and what is allowed."""
     with reading(f"config {path}", SettingsError):
         try:
-            return _read(_parsed(read_bytes(Path(path), most=LARGEST).decode("utf-8")))
+            return _read(_parsed(read_text(Path(path), most=LARGEST)))
         except SettingsError as error:
             raise SettingsError(f"config {path}: {error}") from None
 

@@ -26,15 +26,18 @@ COUNTED = {
     "rejected": "joint states rejected",
     "not_ready": "joint states before a garment was ready",
     "implausible": "joint states that look like degrees",
+    "not_finite": "joint states with positions that are not finite",
+    "without_positions": "joint states without positions",
     "gravity_rejected": "gravity messages rejected",
     "wind_rejected": "wind messages rejected",
     "swaps_failed": "swaps failed",
     "lost": "joint states lost on the way",
     "limbs_separated": "joint states with limbs separated",
 }
-"""What is counted: names in `physkin_msgs/GarmentStatistics` -> names in the diagnostics. Joint states that look like
-degrees are draped all the same; those that are not ready came while the node was inactive or still loaded."""
-TROUBLES = COUNTED.keys() - {"received", "published", "limbs_separated"}
+"""What is counted: names, as in `physkin_msgs/GarmentStatistics` -> names in the diagnostics. Joint states that look
+like degrees are draped all the same, and so are those of which a position is not finite; those that are not ready came
+while the node was inactive or still loaded."""
+TROUBLES = COUNTED.keys() - {"received", "published", "limbs_separated", "without_positions"}
 
 
 class PoseRange:
@@ -172,6 +175,8 @@ class Health:
             for what, count in self.new.items()
             if count and what in TROUBLES
         ]
+        if 0 < self.counts["received"] == self.counts["without_positions"]:
+            troubles.append("none of the joint states has positions")
         if troubles:
             return False, "; ".join(troubles)
         if self.evaluation_p50 is not None:

@@ -114,6 +114,10 @@ class AvatarSettings:
         "",
         "names of joints in messages: ros4hri (REP-155), vrm, or a JSON file. Empty: the rig's own",
     )
+    joint_prefix: str = _key(
+        "",
+        "what names of joints and bones in messages begin with, such as robot1_; it is left out",
+    )
     precision: str = _key(
         "",
         "of the network weights: fp32, bf16 or int8, from most exact to fastest. Empty: int8",

@@ -29,7 +29,7 @@ class WornOutfit:
     """An outfit with the readers of messages for its rig, and the messages that its frames fill.
 
     streams: of the garments, from the skin outwards. frame_input: whose rows its frames read. before: what was worn
-    until now. on_unknown, on_degrees: as of `JointStateReader`.
+    until now. on_unknown, on_degrees, on_not_finite: as of `JointStateReader`.
     received: (d,) float32, the joint positions of the last message; only the readers write them. draped: (d,) float32,
     those that are draped. step: computes their frame into the garments' messages; raises ValueError when a result is
     not finite.
@@ -46,6 +46,7 @@ class WornOutfit:
         *,
         on_unknown: Callable[[list[str]], None],
         on_degrees: Callable[[str, float], None],
+        on_not_finite: Callable[[list[str]], None],
     ) -> None:
         self.outfit = loaded.outfit
         self._rig: Rig = loaded.outfit.layers[0].model.rig
@@ -54,8 +55,10 @@ class WornOutfit:
             self._rig.joint_names,
             self._rig.rest,
             naming=load_naming(settings.joint_map, self._rig),
+            prefix=settings.joint_prefix,
             on_unknown=on_unknown,
             on_degrees=on_degrees,
+            on_not_finite=on_not_finite,
         )
         self.received = self.reader.positions.copy()
         self.wire = JointStateWire(self.reader, self.received)

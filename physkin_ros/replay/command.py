@@ -52,7 +52,8 @@ def replay_one(options: argparse.Namespace) -> int:
     with output as writer, BagReader(options.bag, topic=options.topic, root=["transforms"], **of_root) as bag:
         draper, every = _draper(options), max(1, -(-bag.joint_state_count // CONTACT_CLOUDS))
         separator = bind_limbs(draper.model.rig, draper.avatar) if options.separate_limbs else None
-        settings = {"joint_map": options.joint_map, "root": root, "separator": separator, "contact_every": every}
+        names = {"joint_map": options.joint_map, "joint_prefix": options.joint_prefix}
+        settings = {**names, "root": root, "separator": separator, "contact_every": every}
         found = replay(draper, bag, writer, frame_id=options.frame_id, **settings)
         if not found.times_ns:
             why = f"; most often: {found.reasons.most_common(1)[0][0]}" if found.reasons else ""
@@ -91,6 +92,9 @@ def command_parser() -> argparse.ArgumentParser:
     add_options(parser, "garment")
     parser.add_argument(
         "--joint-map", metavar="FILE", help=f"from incoming joint names to the rig's; or {' or '.join(PRESETS)}"
+    )
+    parser.add_argument(
+        "--joint-prefix", metavar="TEXT", default="", help="what joint names begin with besides, such as robot1_"
     )
     parser.add_argument("--topic", help="topic of joint states (default /joint_states, or the only one)")
     parser.add_argument(

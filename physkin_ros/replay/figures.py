@@ -61,8 +61,8 @@ MEASURED = (*(name for name in LABELS if name != "jitter_ratio"), "jitter_skinni
 DECIMALS = 5
 """Of a series."""
 COUNTS = (
-    *("joint_states", "draped", "rejected", "gravity_messages", "gravity_rejected", "root_unknown"),
-    *("names_unknown", "out_of_range_clouds"),
+    *("joint_states", "draped", "rejected", "not_finite", "without_positions", "gravity_messages", "gravity_rejected"),
+    *("root_unknown", "names_unknown", "out_of_range_clouds"),
 )
 
 
@@ -172,6 +172,8 @@ def summary(figures: Mapping, tablefmt: str = "plain") -> str:
         f"{ROOT[run['orientation']]} / rejected": f"{counts['gravity_messages']} / {counts['gravity_rejected']}",
         "instruction set": run["instruction_set"],
     }
+    if counts["not_finite"] or counts["without_positions"]:
+        facts["positions not finite / missing"] = f"{counts['not_finite']} / {counts['without_positions']}"
     if counts["root_unknown"]:
         facts["draped without knowing where the root is"] = f"{counts['root_unknown']}"
     if counts["out_of_range_clouds"]:

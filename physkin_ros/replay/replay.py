@@ -22,7 +22,7 @@ from physkin_core.motion.bag_reader import TRANSFORMS, BagReader, decode
 from physkin_core.quality import area_strain, contact_figures, edge_strain, signed_distance
 from physkin_core.runtime.bound_garment import plain_skinning
 from physkin_ros.joints.joint_naming import load_naming
-from physkin_ros.joints.joint_states import JointStateReader
+from physkin_ros.joints.joint_states import JointStateReader, NoPositionsError
 from physkin_ros.replay.bags import BagWriter
 from physkin_ros.replay.recorded_root import RecordedRoot
 
@@ -39,8 +39,9 @@ class Replay:
     """What came of a bag's joint states.
 
     orientation, sway: as of the `RecordedRoot` that it was replayed with.
-    counts: joint_states, draped, rejected, gravity_messages, gravity_rejected (of whatever tells where the root is),
-    root_unknown, names_unknown, out_of_range_clouds.
+    counts: joint_states, draped, not_finite (draped, but for some joints), without_positions, rejected,
+    gravity_messages, gravity_rejected (of whatever tells where the root is), root_unknown, names_unknown,
+    out_of_range_clouds.
     reasons: why messages were rejected, with how often. out_of_range: clouds with a joint beyond its limits, by joint.
     times_ns: (T,) when the joint state of each cloud was recorded.
     positions: (T, d) [rad] that were draped. down: (T, 3) gravity's unit direction.
@@ -77,6 +78,7 @@ def replay(
     writer: BagWriter | None = None,
     *,
     joint_map: str | Path | None = None,
+    joint_prefix: str = "",
     separator: LimbSeparator | None = None,
     root: RecordedRoot | None = None,
     contact_every: int = 0,
@@ -85,14 +87,21 @@ def replay(
     """Drape every joint state of `bag`.
 
     writer: where the clouds go, and the bag's transforms, if it is read with them, so that clouds hang in the world.
-    joint_map: a file, or a preset. separator: what poses go through before they are draped. root: how it moves by the
-    messages that the bag is read with; default upright until the bag says otherwise. contact_every: every how many
-    joint states a cloud is measured against the body, 0 for never.
+    joint_map: a file, or a preset. joint_prefix: what joint names begin with besides. separator: what poses go through
+    before they are draped. root: how it moves by the messages that the bag is read with; default upright until the bag
+    says otherwise. contact_every: every how many joint states a cloud is measured against the body, 0 for never.
     Raises JointMapError, and BagError when the bag cannot be read on.
     """
     root = root or RecordedRoot()
     rig, found, unknown = draper.model.rig, Replay(root.orientation, root.sway), set()
-    reader = JointStateReader(rig.joint_names, rig.rest, naming=load_naming(joint_map, rig), on_unknown=unknown.update)
+    reader = JointStateReader(
+        rig.joint_names,
+        rig.rest,
+        naming=load_naming(joint_map, rig),
+        prefix=joint_prefix,
+        on_unknown=unknown.update,
+        on_not_finite=lambda names: found.counts.update(["not_finite"]),
+    )
     recent = _Recent(draper, found)
     pose, points = reader.positions.astype(np.float32), np.zeros((draper.vertex_count, 6), dtype=np.float32)
     draped = pose.copy()
@@ -128,6 +137,9 @@ def replay(
                 separator.separate(pose, out=draped)
             step()
             latency_us = (perf_counter_ns() - started) / 1e3
+        except NoPositionsError:
+            found.counts["without_positions"] += 1
+            continue
         except ValueError as error:
             found.reject("rejected", str(error))
             continue

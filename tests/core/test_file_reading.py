@@ -19,7 +19,10 @@ from physkin_core.file_reading import (
     reading,
     sentence,
     shown,
+    text_of,
+    with_decimal_points,
 )
+from physkin_core.formats.obj_file import read_obj
 
 
 class OwnError(ValueError):
@@ -134,6 +137,67 @@ def test_what_is_no_json_is_refused():
     assert read_json(b'\xef\xbb\xbf{"a": [1, 2]}') == {"a": [1, 2]}
     with pytest.raises(ContentError, match="it is not JSON: Exceeds the limit"):
         read_json(b"9" * 5000)
+
+
+TEXT = "v 1 2\n幾何\tname\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(TEXT.encode(name) for name in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "shift-jis")),
+        b"\xfe\xff" + TEXT.encode("utf-16-be"),
+        TEXT.replace("\n", "\r\n").encode(),
+        TEXT.replace("\n", "\r\r\n").encode("utf-16"),
+        TEXT.replace("\n", "\r").encode(),
+        TEXT.encode() + b"\0" * 512,
+    ],
+)
+def test_text_is_read_in_any_encoding(content):
+    """Whatever the byte order and the line ends; a disk's last block may be padded."""
+    assert text_of(content) == TEXT
+
+
+def test_text_of_western_names():
+    """Letters of Latin-1 are no Shift-JIS, and nothing else changes, whatever the bytes are."""
+    assert text_of("Hüfte\xa0é {\n".encode("latin-1")) == "Hüfte\xa0é {\n"
+    assert text_of(b"\x81\n{") == "\ufffd\n{"
+
+
+def test_line_ends_take_no_time():
+    """However many there are in a row, of either kind."""
+    assert text_of(b"\r" * 10**6 + b"x") == "\n" * 10**6 + "x"
+
+
+def test_what_is_no_text_is_refused():
+    """With the line, where there is one."""
+    with pytest.raises(ContentError, match="^line 3 has a zero byte: it is damaged, or no text$"):
+        text_of(b"a\r\nb\r\nc\0d")
+    with pytest.raises(ContentError, match="not JSON: line 2 has a zero byte"):
+        read_json(b'{"a":\n1\0}')
+
+
+def test_decimal_commas():
+    """Commas are decimal where nothing says that they separate numbers."""
+    for line, meant in {
+        "v 0,5 -1 2,25": [0.5, -1, 2.25],
+        "v 0.5, -1, 2.25": [0.5, -1, 2.25],
+        "v 0.5,-1,2.25": [0.5, -1, 2.25],
+        "v 1, 2, 3": [1, 2, 3],
+        "v 1,2,3": [1, 2, 3],
+        "v 0,5;1;2,5": [0.5, 1, 2.5],
+    }.items():
+        assert [float(word) for word in with_decimal_points(line).split()[1:]] == meant, line
+
+
+def test_objects_are_read_in_any_encoding(tmp_path):
+    """With decimal commas, too; the written copy is plain."""
+    path = tmp_path / "a.obj"
+    path.write_bytes("g 袖\nv 0,5 0 1,25\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".replace("\n", "\r\r\n").encode("shift-jis"))
+    file = read_obj(path)
+    assert file.vertices[0].tolist() == [0.5, 0, 1.25] and file.names[0].group == "袖"
+    file.write(path, file.vertices)
+    assert path.read_text("utf-8") == "g 袖\nv 0.5 0 1.25\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
 def test_values_are_shown_short_and_escaped():

@@ -10,7 +10,7 @@ from typing import Annotated, get_type_hints
 from pydantic import BeforeValidator, ConfigDict, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from physkin_core.file_reading import ContentError, read_bytes, reading
+from physkin_core.file_reading import ContentError, read_text, reading
 from physkin_core.model.garment_model import Material
 from physkin_core.model.hyper_modulator import HEADS
 
@@ -178,7 +178,7 @@ def load_config(path: str | Path, *, name: str | None = None, garment: Path | No
     path = Path(path)
     given = {"name": name, "garment": garment and garment.resolve()}
     with reading(f"configuration {path}", ConfigError):
-        data = tomllib.loads(read_bytes(path, most=LARGEST_CONFIG).decode())
+        data = tomllib.loads(read_text(path, most=LARGEST_CONFIG))
         data |= {key: value for key, value in given.items() if value is not None}
         try:
             config = TypeAdapter(TrainingConfig).validate_python(data)

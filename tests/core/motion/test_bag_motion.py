@@ -105,13 +105,53 @@ def test_times_are_the_stamps_where_all_have_one(tmp_path):
 
 
 def test_messages_that_cannot_be_used_are_left_out(tmp_path, caplog):
-    """Too few positions, some not finite, no direction, bytes that are no message."""
+    """Too few positions, none finite, no direction, bytes that are no message."""
     states = [(k * STEP, ["hip"], [0.1 * k]) for k in (1, 2, 3)]
-    states += [(4 * STEP, ["hip"], []), (5 * STEP, ["hip"], [np.nan]), (6 * STEP, [], [])]
+    states += [(4 * STEP, ["hip", "knee"], [1.0]), (5 * STEP, ["hip"], [np.nan]), (6 * STEP, [], [])]
     downs = [(STEP, (0, 0, -9.81)), (2 * STEP, (0, 0, 0)), (3 * STEP, (np.inf, 0, 0))]
     read = load_motion(write_states(tmp_path / "bag.mcap", states, gravities=downs))
     assert read.frame_count == 3 and "5 messages" in caplog.text
     np.testing.assert_allclose(read.gravity, [[0, 0, -1]] * 3, atol=1e-7)
+
+
+def test_what_a_joint_state_lacks_is_interpolated(tmp_path, caplog):
+    """A position that is not finite is left out alone, with a warning; joint states without any go without a word, and
+    so does a joint that never has one."""
+    states = [(k * STEP, ["hip", "knee", "tail"], [0.1 * k, 1.0 + k, np.nan]) for k in range(1, 6)]
+    states[2][2][0], states[3][2][1] = np.nan, np.inf
+    bare = [(round((k + 0.5) * STEP), ["hip", "knee"], []) for k in range(1, 5)]
+    read = load_motion(write_states(tmp_path / "bag.mcap", states + bare))
+    assert read.joint_names == ("hip", "knee") and caplog.messages == [
+        f"bag {tmp_path / 'bag.mcap'}: positions of 5 joint states are not finite; these are interpolated"
+    ]
+    np.testing.assert_allclose(read.positions, [[0.1 * k, 1 + k] for k in range(1, 6)], atol=1e-6)
+    with pytest.raises(BagError, match="needs joint states with positions at two times at least, /joint_states has 0"):
+        load_motion(write_states(tmp_path / "bare.mcap", bare))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_folder_without_its_list_of_files(tmp_path, storage):
+    """One recording is read all the same; of several the order is not known. Included motions go first."""
+    clip = load_motion("walk")
+    for name in ("turn", "more"):
+        with BagWriter(tmp_path / name, storage=storage) as writer:
+            write_motion(writer, clip, frame_id="torso")
+        (tmp_path / name / "metadata.yaml").unlink()
+    np.testing.assert_allclose(load_motion(tmp_path / "turn").positions, clip.positions, atol=1e-6)
+    for file in (tmp_path / "more").iterdir():
+        file.rename(tmp_path / "turn" / f"more{file.suffix}")
+    for folder, count in (("turn", 2), ("more", 0)):
+        with pytest.raises(
+            BagError, match=f"has {count} .mcap or .db3 files and no metadata.yaml, which ros2 bag reind"
+        ):
+            load_motion(tmp_path / folder)
+
+
+def test_a_folder_named_as_an_included_motion(tmp_path, monkeypatch):
+    """The motion is meant."""
+    (tmp_path / "walk").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_motion("walk").name == "walk"
 
 
 def test_bags_that_are_no_clip_are_refused(tmp_path):

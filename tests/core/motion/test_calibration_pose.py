@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from physkin_core.motion.bvh_file import read_bvh
 from physkin_core.motion.calibration_pose import LIMBS, calibration_frames
 from physkin_core.motion.mocap import find_joints
-from physkin_core.motion.mocap_files import Joint, Skeleton, read_amc, read_bvh
+from physkin_core.motion.mocap_files import Joint, Skeleton, read_amc
 
 RATE_HZ = 120.0
 CLIPS = Path(__file__).parents[4] / "shared/assets/motion"

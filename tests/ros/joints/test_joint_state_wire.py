@@ -141,6 +141,8 @@ def test_positions_that_are_not_ordinary(order):
     for value in (np.nan, np.inf, -np.inf, 1e39):
         with pytest.raises(JointStateError, match="'left' is .*; it must be finite"):
             wire.read(wire_bytes(["left"], [value], order=order))
+    wire.read(wire_bytes(["left", "knee"], [np.nan, 1.0], order=order))
+    np.testing.assert_array_equal(out, np.float32([0.1, 1.0, 0.3, 0.4]))
     wire.read(wire_bytes(["neck"], [3.0], order=order))
     np.testing.assert_array_equal(out, np.float32([0.1, 0.2, 0.3, 3.0]))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from physkin_ros.joints.joint_map import MappedJoint
-from physkin_ros.joints.joint_states import JointStateError, JointStateReader, MappedNames
+from physkin_ros.joints.joint_states import JointStateError, JointStateReader, MappedNames, NoPositionsError
 
 NAMES = ("hip", "knee", "ankle", "neck")
 REST = np.array([0.1, 0.2, 0.3, 0.4])
@@ -34,8 +34,8 @@ def test_unknown_joints_are_reported_once_for_each_set_of_names():
         ([], [], "names no joints"),
         (["hip", "knee"], [1.0], "2 names but 1 positions"),
         (["hip"], [], "1 names but 0 positions"),
-        (["hip", "knee"], [1.0, np.nan], "'knee' is nan"),
-        (["hip", "knee"], [np.inf, 1.0], "'hip' is inf"),
+        (["hip", "knee"], [np.nan, np.inf], "'hip' is nan"),
+        (["tail", "knee"], [1.0, np.inf], "'knee' is inf"),
         (["hip"], [1e300], "'hip' is 1e"),
         (["hip", "knee", "hip"], [1.0, 2.0, 3.0], "'hip' and 'hip' are the same joint"),
         (["tail", "fin"], [1.0, 2.0], "no joint is known among 'tail', 'fin'"),
@@ -49,6 +49,47 @@ def test_bad_joint_states_are_refused(names, values, reason):
         with pytest.raises(JointStateError, match=reason):
             reader.read(names, values)
     np.testing.assert_array_equal(reader.positions, REST.astype(np.float32))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e39])
+def test_a_joint_that_is_not_finite_keeps_its_position(value):
+    """The others move, doubts about degrees included, and it goes on once it is finite again."""
+    lost, doubts = [], []
+    reader = JointStateReader(NAMES, REST, on_not_finite=lost.append, on_degrees=lambda *doubt: doubts.append(doubt))
+    reader.positions = reader.read(["hip", "knee"], [1.0, 2.0])
+    reader.positions = reader.read(["knee", "hip", "neck"], [value, 1.5, 97.0])
+    np.testing.assert_array_equal(reader.positions, positions(1.5, 2, 0.3, 97))
+    assert lost == [["knee"]] and doubts == [("neck", 97.0)]
+    np.testing.assert_array_equal(reader.read(["knee", "tail"], [3.0, np.nan]), positions(1.5, 3, 0.3, 97))
+    assert lost == [["knee"]]
+
+
+def test_joint_states_without_positions_are_told_apart():
+    """As joints with velocities alone are published."""
+    with pytest.raises(NoPositionsError):
+        JointStateReader(NAMES, REST).read(["hip"], [])
+    with pytest.raises(JointStateError) as refused:
+        JointStateReader(NAMES, REST).read(["hip", "knee"], [1.0])
+    assert not isinstance(refused.value, NoPositionsError)
+
+
+@pytest.mark.parametrize("prefix", ["robot1_", "robot1/", "/a/b/", "r2::"])
+def test_names_with_a_prefix(prefix):
+    """They are refused with the hint, and read once it is given; names without it are read, too."""
+    names = [f"{prefix}wheel", f"{prefix}hip", f"{prefix}knee"]
+    with pytest.raises(
+        JointStateError, match=f"; they match without '{prefix}', which joint_prefix leaves out; the rig"
+    ):
+        JointStateReader(NAMES, REST).read(names, [0.0, 1.0, 2.0])
+    unknown = []
+    reader = JointStateReader(NAMES, REST, prefix=prefix, on_unknown=unknown.append)
+    np.testing.assert_array_equal(reader.read([*names, "neck"], [0.0, 1.0, 2.0, 3.0]), positions(1, 2, 0.3, 3))
+    assert unknown == [[f"{prefix}wheel"]]
+    with pytest.raises(JointStateError, match="'knee'.* are the same joint"):
+        reader.read([*names, "knee"], [0.0, 1.0, 2.0, 3.0])
+    with pytest.raises(JointStateError) as refused:
+        JointStateReader(NAMES, REST).read([f"{prefix}wheel_{'_' * 200}"] * 3000, [0.0] * 3000)
+    assert "match" not in str(refused.value)
 
 
 @pytest.mark.parametrize(("value", "doubted"), [(9.4, False), (9.5, True), (-97.0, True), (1e25, True)])

@@ -83,6 +83,23 @@ def test_names_with_an_id(rig, reader):
     assert found.keys() == {"foot.L_y", "lowerarm01.L_z"} and found["foot.L_y"] == pytest.approx(0.1)
 
 
+def test_a_ball_joint_keeps_its_place_without_an_angle(rig):
+    """All of it; the other shoulder and the knees go on. So do prefixed names, with or without the body's id."""
+    lost = []
+    reader = JointStateReader(
+        rig.joint_names, rig.rest, naming=Ros4hriNaming(rig), prefix="robot1_", on_not_finite=lost.append
+    )
+    names = [f"robot1_{side}_{name}" for side in "lr" for name in ("y_shoulder", "p_shoulder", "r_shoulder", "knee_7")]
+    reader.positions = before = reader.read(names, [0.3] * 8)
+    after = reader.read(names, [0.4, np.nan, 0.4, 0.4, 0.4, 0.4, 0.4, np.inf])
+    moved = {rig.joint_names[index] for index in np.flatnonzero(after != before)}
+    assert {name.split("_")[0] for name in moved} == {"upperarm01.R", "upperarm02.R", "lowerleg01.L"}
+    assert lost == [["robot1_r_knee_7", "robot1_l_p_shoulder"]] and np.isfinite(after).all()
+    plain = JointStateReader(rig.joint_names, rig.rest, naming=Ros4hriNaming(rig))
+    with pytest.raises(JointStateError, match="they match without 'robot1_'"):
+        plain.read(names, [0.3] * 8)
+
+
 def test_bad_values_are_refused(reader):
     """By the name that came in; nor may two names drive one joint of the rig."""
     with pytest.raises(JointStateError, match="'l_p_hip_7' is nan"):

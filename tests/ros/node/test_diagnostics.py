@@ -59,6 +59,18 @@ def test_no_trouble_hides_another():
     assert well and values["last error"] == "no such body" and values["swaps failed"] == "1"
 
 
+def test_joint_states_without_positions():
+    """Are no trouble beside others."""
+    counts = AvatarStatistics()
+    for what in ("received", "without_positions"):
+        counts.count(what, number=3)
+    assert report(counts)[:2] == (False, "none of the joint states has positions")
+    counts.count("received", number=2)
+    counts.count("without_positions")
+    counts.draped(SECOND, 10_000)
+    assert report(counts)[:2] == (True, "draping")
+
+
 def test_poses_outside_the_trained_range():
     """The farthest joint is named first, with where it was and what was trained, until reported."""
     rig = load_body_model().rig

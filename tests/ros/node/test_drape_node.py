@@ -65,7 +65,7 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
     peer.cloud(names, good, (1, 0))
     peer.until_told("joint states rejected", "0")
     bad = [
-        (names, [np.inf, *good[1:]], f"{names[0]!r} is inf"),
+        (names, [np.inf, *[np.nan] * (len(names) - 1)], f"{names[0]!r} is inf"),
         (["tail", "fin"], [0.0, 0.0], "'tail', 'fin'"),
     ]
     for index, (bad_names, values, reason) in enumerate(bad, start=1):
@@ -76,6 +76,26 @@ def test_bad_joint_states_leave_the_last_good_state(peer, shared_node, draper, c
     assert list(peer.clouds) == [(1, 0)]
     good[2] = 0.15
     np.testing.assert_array_equal(peer.cloud(names[2:3], good[2:3], (3, 0)), draper.drape(good))
+
+
+def test_a_joint_that_is_not_finite_stays_alone(peer, shared_node, draper, capfd):
+    """The others are draped, and it is counted and named; joint states without positions are no trouble."""
+    names = list(draper.joint_names)
+    good = np.linspace(-0.2, 0.2, len(names)).astype(np.float32)
+    peer.cloud(names, good, (1, 0))
+    peer.until(lambda: peer.reports, "diagnostics")
+    counts = [int(peer.latest(f"joint states {what}")) for what in ("rejected", "with positions that are not finite")]
+    for stamp in ((2, 0), (3, 0)):
+        moved = good + np.float32(0.01 * stamp[0])
+        moved[1] = np.nan
+        peer.send(names, [], (stamp[0], 5))
+        cloud = peer.cloud(names, moved, stamp)
+        moved[1] = good[1]
+        np.testing.assert_array_equal(cloud, draper.drape(moved))
+    peer.until_told("joint states with positions that are not finite", str(counts[1] + 2))
+    peer.until_told("joint states without positions", "2")
+    assert peer.latest("joint states rejected") == str(counts[0])
+    assert f"positions of {names[1]!r} are not finite; these joints keep theirs" in capfd.readouterr().err
 
 
 def test_diagnostics(peer, shared_node, draper):

@@ -128,7 +128,7 @@ def test_a_storm_is_reported_and_costs_no_memory(site, drapes, garment_model):
     """Five thousand joint states a second, every other one bad, for three seconds."""
     rig = garment_model.rig
     positions = rig.rest.tolist()
-    data = [serialize_message(site.state(rig.joint_names, [*positions[:-1], last])) for last in (0.1, np.nan)]
+    data = [serialize_message(site.state(rig.joint_names, each)) for each in (positions, [np.nan] * len(positions))]
     publisher = site.publisher(TOPIC)
     drapes()
     before, rejected = resident(site), int(site.statuses[TOP]["joint states rejected"])

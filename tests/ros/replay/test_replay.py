@@ -146,13 +146,14 @@ def test_gravity_counts_from_when_it_comes(run, draper, tmp_path):
 
 
 def test_bad_messages_are_counted_and_skipped(draper, tmp_path):
-    """The clouds are those of the good ones, on top of the last good state."""
+    """The clouds are those of the good ones, on top of the last good state. A joint that is not finite stays, and a
+    joint state without positions is no trouble."""
     first, second = draper.joint_names[:2]
     huge = bytes(TYPES.serialize_cdr(joint_state([first], [0.0]), JOINT_STATE)[:20]) + b"\xff\xff\xff\x7f" * 3
-    good = [joint_state([first], [0.1]), joint_state([second, "tail"], [0.2, np.nan])]
+    good = [joint_state([first], [0.1]), joint_state([first, second, "tail"], [np.nan, 0.2, np.nan])]
     bad = {
         "names no joints": joint_state([], []),
-        f"'{second}' is inf": joint_state([first, second], [0.3, np.inf]),
+        f"'{second}' is inf": joint_state([second], [np.inf]),
         "no joint is known": joint_state(["tail"], [0.3]),
     }
     path, output = tmp_path / "bad.mcap", tmp_path / "out.mcap"
@@ -162,11 +163,15 @@ def test_bad_messages_are_counted_and_skipped(draper, tmp_path):
             writer.write("/joint_states", JOINT_STATE, message, time_ns)
         for time_ns, data in enumerate((b"", b"\0", b"\0\1\0\0", huge, b"\xff" * 64), start=1_100):
             writer.write_bytes("/joint_states", JOINT_STATE, data, time_ns)
+        writer.write("/joint_states", JOINT_STATE, joint_state([first], []), 1_200)
         writer.write("/joint_states", JOINT_STATE, good[1], 2_000)
     with BagReader(path) as bag, BagWriter(output) as writer:
         found = replay(draper, bag, writer)
         figures = describe(found, draper, bag, contact_every=0)
-    assert found.counts["joint_states"] == 10 and found.counts["draped"] == 2 and found.counts["rejected"] == 8
+    counts = figures["counts"]
+    assert (counts["joint_states"], counts["draped"], counts["rejected"]) == (11, 2, 8)
+    assert (counts["not_finite"], counts["without_positions"]) == (1, 1)
+    assert "positions not finite / missing  1 / 1" in summary(figures)
     for reason in bad:
         assert [count for text, count in figures["reasons"].items() if reason in text] == [1], reason
     assert sum(count for text, count in figures["reasons"].items() if "bytes that are no joint state" in text) == 5
