@@ -60,9 +60,9 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
     """
     path = Path(path_or_name)
     if path.suffix.lower() in MOCAP_SUFFIXES:
-        from physkin_core.motion.mocap import load_mocap
+        from physkin_core.motion.clip_files import load_clip
 
-        return load_mocap(path, load_body_model().rig, watch=watch)[0]
+        return load_clip(path, load_body_model().rig, watch=watch)[0]
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return _read_bag(path)
     if path.suffix != ".safetensors":

@@ -5,20 +5,18 @@ Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in de
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, shown
-from physkin_core.rig.rig import ancestors
+from physkin_core.motion.source_clip import MOST_JOINTS, SourceClip, check_clip_size
 
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
 NO_TURN = Rotation.identity()
-MOST_JOINTS = 1000
-"""A skeleton with fingers and a face has a hundred or two."""
 FRAME_TIMES = (1e-5, 10.0)  # [s]
 
 
@@ -47,47 +45,26 @@ class Skeleton:
     joints: tuple[Joint, ...]
     rate_hz: float
 
-    @property
-    def frame_count(self) -> int:
-        """Number of frames T."""
-        return len(self.joints[0].angles)
-
-    def ancestors(self, joint: int) -> list[int]:
-        """Indices from the root to the joint itself."""
-        return ancestors([each.parent for each in self.joints], joint)[::-1]
-
-    def at(self, frames: slice) -> Skeleton:
-        """With some of the frames only; the rate follows the step between them."""
-        joints = tuple(
-            replace(each, angles=each.angles[frames], places=None if each.places is None else each.places[frames])
-            for each in self.joints
-        )
-        return Skeleton(joints, self.rate_hz / (frames.step or 1))
-
-    def posed(self, wanted: Iterable[int]) -> tuple[dict[int, Rotation], dict[int, np.ndarray]]:
-        """Rotations (T) from rest and places (T, 3) in the world, of joints and all their ancestors."""
-        rotations: dict[int, Rotation] = {}
-        heads: dict[int, np.ndarray] = {}
-        for index in sorted({each for joint in wanted for each in self.ancestors(joint)}):
-            joint = self.joints[index]
-            turn = Rotation.identity(self.frame_count)
+    def clip(self, rate_hz: float | None = None) -> SourceClip:
+        """All joints, posed. rate_hz: instead of the file's. Raises ContentError for too many frames."""
+        frame_count, rate_hz = len(self.joints[0].angles), rate_hz or self.rate_hz
+        check_clip_size(frame_count, len(self.joints), rate_hz)
+        rest = np.zeros((len(self.joints), 3))
+        quaternions, places = np.empty((frame_count, len(rest), 4)), np.empty((frame_count, len(rest), 3))
+        for index, joint in enumerate(self.joints):
+            turn = Rotation.identity(frame_count)
             if joint.order:
                 turn = joint.axes * Rotation.from_euler(joint.order, joint.angles, degrees=True) * joint.axes.inv()
-            offset = np.tile(joint.offset, (self.frame_count, 1)) if joint.places is None else joint.places
+            offset = np.tile(joint.offset, (frame_count, 1)) if joint.places is None else joint.places
             if joint.parent < 0:
-                rotations[index], heads[index] = turn, offset
+                quaternions[:, index], places[:, index] = turn.as_quat(), offset
             else:
-                rotations[index] = rotations[joint.parent] * turn
-                heads[index] = heads[joint.parent] + rotations[joint.parent].apply(offset)
-        return rotations, heads
-
-    def at_rest(self) -> np.ndarray:
-        """(J, 3) places of the joints with no rotation, from the root."""
-        heads = np.zeros((len(self.joints), 3))
-        for index, joint in enumerate(self.joints):
-            if joint.parent >= 0:
-                heads[index] = heads[joint.parent] + joint.offset
-        return heads
+                above = Rotation.from_quat(quaternions[:, joint.parent])
+                rest[index] = rest[joint.parent] + joint.offset
+                quaternions[:, index] = (above * turn).as_quat()
+                places[:, index] = places[:, joint.parent] + above.apply(offset)
+        names, parents = [each.name for each in self.joints], [each.parent for each in self.joints]
+        return SourceClip(tuple(names), np.array(parents), rest, quaternions, places, rate_hz)
 
 
 def read_bvh(text: str) -> Skeleton:

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from physkin_core import Motion, load_body_model, load_motion
+from physkin_core.motion.clip_files import load_clip
 from physkin_core.motion.loading import MOCAP_SUFFIXES
-from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
+from physkin_core.motion.mocap import AMC_RATE_HZ
 from physkin_core.progress import progress_line
 from physkin_ros.replay.bags import BagWriter, write_motion
 
@@ -59,7 +60,7 @@ def _motion(options: argparse.Namespace) -> Motion:
         return load_motion(options.motion)
     settings = {"skeleton": options.skeleton, "source_rate_hz": options.source_rate}
     watch = progress_line(f"reading {options.motion}")
-    motion, missed = load_mocap(options.motion, load_body_model().rig, watch=watch, **settings)
+    motion, missed = load_clip(options.motion, load_body_model().rig, watch=watch, **settings)
     bone = max(missed, key=missed.get)
     print(
         f"retargeted: bones miss their direction by {sum(missed.values()) / len(missed):.1f} degrees on average, "
