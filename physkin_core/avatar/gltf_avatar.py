@@ -24,9 +24,9 @@ from physkin_core.avatar.skinned_mesh import (
     unit_scale,
 )
 from physkin_core.file_reading import ContentError, shown
-from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
+from physkin_core.formats.gltf_skeleton import humanoid_nodes, skin_nodes
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
@@ -67,7 +67,7 @@ def _plain_mesh(file: GltfFile) -> Surface:
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
-    humanoid = _humanoid_nodes(file)
+    humanoid = humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
     warnings, parts, start = [], [], 0
     for drawn in drawn_primitives(file):
@@ -136,7 +136,7 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
     These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
     """
     nodes: set[int] = set()
-    skinned = (joint for skin in file.document.entries("skins") for joint in _named(file, skin))
+    skinned = (joint for skin in file.document.entries("skins") for joint in skin_nodes(file, skin))
     for joint in (*humanoid.values(), *skinned):
         while joint >= 0 and joint not in nodes:
             nodes.add(joint)
@@ -147,15 +147,7 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
 
 
 def _skin_joints(file: GltfFile, skin: int) -> list[int]:
-    return _named(file, file.document.item("skins", skin))
-
-
-def _named(file: GltfFile, skin: GltfEntry) -> list[int]:
-    """Nodes that are the joints of a skin."""
-    nodes = skin.indices("joints")
-    if not nodes or max(nodes) >= len(file.nodes):
-        raise ContentError(f"joints of {skin.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
-    return nodes
+    return skin_nodes(file, file.document.item("skins", skin))
 
 
 def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tuple[np.ndarray, np.ndarray, int]:
@@ -207,22 +199,6 @@ def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:
             if file.nodes[child].text("name") == end:
                 tails[joint] = file.node_worlds[child][:3, 3]
     return tails
-
-
-def _humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
-    """Node by VRM humanoid bone, or None for a file that is not a VRM."""
-    extensions = file.document.entry("extensions")
-    if "VRMC_vrm" in extensions:
-        bones = extensions.entry("VRMC_vrm").entry("humanoid").entry("humanBones")
-        nodes = {name: bones.entry(name).integer("node") for name in bones.members}
-    elif "VRM" in extensions:
-        bones = extensions.entry("VRM").entry("humanoid").entries("humanBones")
-        nodes = {bone.text("bone"): bone.integer("node") for bone in bones}
-    else:
-        return None
-    for node in nodes.values():
-        file.document.item("nodes", node)
-    return nodes
 
 
 def _frame(file: GltfFile) -> np.ndarray:

@@ -145,7 +145,7 @@ def find_joints(clip: SourceClip) -> tuple[dict[str, int], tuple[str, ...]]:
     Pelvis and chest are where legs and arms branch. Raises ContentError for a part that no joint was recognised as.
     """
     names, rig = clip.names, load_body_model().rig
-    human = find_human_skeleton(names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
+    human = find_human_skeleton(names, clip.parents, clip.rest, rig, humanoid=clip.humanoid, by_hand=clip.by_hand)
     if human.missing:
         raise ContentError(human.refusal(names, rig))
     found = {f"{part}.{side}": human.joints[f"{bone}.{side}"] for part, bone in PARTS.items() for side in "LR"}

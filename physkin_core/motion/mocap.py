@@ -17,16 +17,15 @@ LARGEST_SKELETON = 1 << 22
 """[bytes] of an ASF file: that of 1,000 bones has some hundred thousand."""
 
 
-def read_mocap(path: Path, *, skeleton: str | Path | None = None, source_rate_hz: float | None = None) -> SourceClip:
-    """Read a .bvh or .amc file. skeleton: the .asf of an .amc; None: `02.asf` for `02_02.amc`. source_rate_hz: None
-    for what a .bvh says, and `AMC_RATE_HZ` for an .amc. Raises MotionError, and what `read_bvh` and `read_amc` raise.
-    """
+def read_mocap(path: Path, *, skeleton: str | Path | None = None) -> SourceClip:
+    """Read a .bvh file, or an .amc as if recorded at `AMC_RATE_HZ`. skeleton: the .asf of an .amc; None: `02.asf` for
+    `02_02.amc`. Raises MotionError, and what `read_bvh` and `read_amc` raise."""
     if path.suffix.lower() == ".bvh":
-        return read_bvh(_text(path)).clip(source_rate_hz)
+        return read_bvh(_text(path)).clip()
     asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
     with reading(f"skeleton {asf}", MotionError):
         bones = _text(asf, LARGEST_SKELETON)
-    return read_amc(_text(path), bones, source_rate_hz or AMC_RATE_HZ).clip()
+    return read_amc(_text(path), bones, AMC_RATE_HZ).clip()
 
 
 def _text(path: Path, most: int = LARGEST_FILE) -> str:

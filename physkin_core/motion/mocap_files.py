@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, shown
-from physkin_core.motion.source_clip import MOST_JOINTS, SourceClip, check_clip_size
+from physkin_core.motion.source_clip import MOST_JOINTS, SourceClip, posed_clip
 
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
@@ -37,6 +37,12 @@ class Joint:
     places: np.ndarray | None = None
     axes: Rotation = NO_TURN
 
+    def turns(self) -> Rotation:
+        """(T) on the parent."""
+        if not self.order:
+            return Rotation.identity(len(self.angles))
+        return self.axes * Rotation.from_euler(self.order, self.angles, degrees=True) * self.axes.inv()
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -45,26 +51,12 @@ class Skeleton:
     joints: tuple[Joint, ...]
     rate_hz: float
 
-    def clip(self, rate_hz: float | None = None) -> SourceClip:
-        """All joints, posed. rate_hz: instead of the file's. Raises ContentError for too many frames."""
-        frame_count, rate_hz = len(self.joints[0].angles), rate_hz or self.rate_hz
-        check_clip_size(frame_count, len(self.joints), rate_hz)
-        rest = np.zeros((len(self.joints), 3))
-        quaternions, places = np.empty((frame_count, len(rest), 4)), np.empty((frame_count, len(rest), 3))
-        for index, joint in enumerate(self.joints):
-            turn = Rotation.identity(frame_count)
-            if joint.order:
-                turn = joint.axes * Rotation.from_euler(joint.order, joint.angles, degrees=True) * joint.axes.inv()
-            offset = np.tile(joint.offset, (frame_count, 1)) if joint.places is None else joint.places
-            if joint.parent < 0:
-                quaternions[:, index], places[:, index] = turn.as_quat(), offset
-            else:
-                above = Rotation.from_quat(quaternions[:, joint.parent])
-                rest[index] = rest[joint.parent] + joint.offset
-                quaternions[:, index] = (above * turn).as_quat()
-                places[:, index] = places[:, joint.parent] + above.apply(offset)
-        names, parents = [each.name for each in self.joints], [each.parent for each in self.joints]
-        return SourceClip(tuple(names), np.array(parents), rest, quaternions, places, rate_hz)
+    def clip(self) -> SourceClip:
+        """All joints, posed. Raises ContentError for a clip that is too long or too large."""
+        names, parents, offsets = zip(*((each.name, each.parent, each.offset) for each in self.joints))
+        places = {index: each.places for index, each in enumerate(self.joints) if each.places is not None}
+        count = len(self.joints[0].angles)
+        return posed_clip(names, parents, offsets, (each.turns() for each in self.joints), places, count, self.rate_hz)
 
 
 def read_bvh(text: str) -> Skeleton:

@@ -5,7 +5,7 @@ Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, along the fi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from physkin_core.file_reading import ContentError
 from physkin_core.motion.motion import MOST_FRAMES
 from physkin_core.rig.rig import ancestors
 
-__all__ = ["MOST_JOINTS", "RATE_HZ", "SourceClip", "check_clip_size"]
+__all__ = ["MOST_JOINTS", "RATE_HZ", "SourceClip", "check_clip_size", "posed_clip"]
 
 RATE_HZ = 60.0
 """Rate of motion once it is retargeted; no reader needs to sample a clip faster."""
@@ -37,6 +37,7 @@ class SourceClip:
         places: (T, J, 3) in the world.
         rate_hz: frames a second.
         humanoid: joint by VRM humanoid bone, where the file tells; replaces the names. None: it does not.
+        by_hand: joint by rig bone, of a bones file.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class SourceClip:
     places: np.ndarray
     rate_hz: float
     humanoid: Mapping[str, int] | None = None
+    by_hand: Mapping[str, int] | None = None
 
     @property
     def frame_count(self) -> int:
@@ -77,3 +79,32 @@ def check_clip_size(frame_count: int, joint_count: int, rate_hz: float) -> None:
         raise ContentError(
             f"it has {frame_count} frames of {joint_count} joints, allowed are {MOST_PLACES // joint_count}; cut it"
         )
+
+
+def posed_clip(
+    names: Sequence[str],
+    parents: Sequence[int],
+    offsets: np.ndarray,
+    turns: Iterable[Rotation],
+    places: Mapping[int, np.ndarray],
+    frame_count: int,
+    rate_hz: float,
+) -> SourceClip:
+    """The clip of joints that rest without rotation, by how each turns (T) on its parent.
+
+    offsets: (J, 3) from the parent at rest. places: by joint (T, 3) from the parent, where that moves, and from the
+    origin for roots. Raises ContentError for a clip that is too long or too large.
+    """
+    check_clip_size(frame_count, len(names), rate_hz)
+    rest, quaternions = np.zeros((len(names), 3)), np.empty((frame_count, len(names), 4))
+    heads = np.empty((frame_count, len(names), 3))
+    for joint, (parent, turn) in enumerate(zip(parents, turns)):
+        step = places[joint] if joint in places else np.tile(offsets[joint], (frame_count, 1))
+        if parent < 0:
+            quaternions[:, joint], heads[:, joint] = turn.as_quat(), step
+        else:
+            above = Rotation.from_quat(quaternions[:, parent])
+            rest[joint] = rest[parent] + offsets[joint]
+            quaternions[:, joint] = (above * turn).as_quat()
+            heads[:, joint] = heads[:, parent] + above.apply(step)
+    return SourceClip(tuple(names), np.array(parents), rest, quaternions, heads, rate_hz)
