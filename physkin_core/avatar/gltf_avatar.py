@@ -24,9 +24,10 @@ from physkin_core.avatar.skinned_mesh import (
     unit_scale,
 )
 from physkin_core.file_reading import ContentError, shown
+from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
-from physkin_core.formats.gltf_skeleton import humanoid_nodes, skin_nodes
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
@@ -136,7 +137,7 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
     These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
     """
     nodes: set[int] = set()
-    skinned = (joint for skin in file.document.entries("skins") for joint in skin_nodes(file, skin))
+    skinned = (joint for skin in file.document.entries("skins") for joint in _named(file, skin))
     for joint in (*humanoid.values(), *skinned):
         while joint >= 0 and joint not in nodes:
             nodes.add(joint)
@@ -147,7 +148,15 @@ def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[i
 
 
 def _skin_joints(file: GltfFile, skin: int) -> list[int]:
-    return skin_nodes(file, file.document.item("skins", skin))
+    return _named(file, file.document.item("skins", skin))
+
+
+def _named(file: GltfFile, skin: GltfEntry) -> list[int]:
+    """Nodes that are the joints of a skin."""
+    nodes = skin.indices("joints")
+    if not nodes or max(nodes) >= len(file.nodes):
+        raise ContentError(f"joints of {skin.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
+    return nodes
 
 
 def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tuple[np.ndarray, np.ndarray, int]:

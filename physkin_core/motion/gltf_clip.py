@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_skeleton import humanoid_nodes, skin_nodes
+from physkin_core.formats.gltf_joints import humanoid_nodes, skin_nodes
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
 __all__ = ["gltf_clip_names", "read_gltf_clip"]

@@ -70,7 +70,7 @@ CLAVICLE = 0.02
 """Least length of a collar bone that its place alone tells."""
 FACING = 0.005
 """Least sum of what feet, or knees and elbows, point forwards."""
-FILE_START = 40
+FILE_START = 20
 """[characters] of a bones file, in an error."""
 LISTED_NAMES = 3
 """Of each kind, in an error."""
@@ -110,8 +110,8 @@ class HumanSkeleton:
         others = [shown(name) for name in sorted(others, key=lambda name: parts.isdisjoint(read_name(name).bones))]
         return (
             f"no joint for {len(self.missing)} of the {len(required_bones(rig))} rig bones it must have: "
-            f"{_some(self.missing)}; taken: {_some(taken, 1)}; not recognised: {_some(others)}. Name joints as Mixamo or "
-            f"VRM do, those of a limb below each other, or by --bones FILE: {self.bones_file(names, rig)[:FILE_START]}…"
+            f"{_some(self.missing)}; taken: {_some(taken, 1)}; not recognised: {_some(others)}. Put joints of a limb "
+            f"below each other, or use --bones: {self.bones_file(names, rig)[:FILE_START]}…"
         )
 
     def bones_file(self, names: Sequence[str], rig: Rig) -> str:
