@@ -190,14 +190,14 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
 
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_options(worn, "garment", "rig", "fit", "tucked")
+    add_options(worn, "garment", "rig", "bones", "fit", "tucked")
     drape = command("drape", _drape, worn)
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
         "--strip", type=int, metavar="N", help="draw N frames instead, evenly spread, from the front and the back"
     )
-    add_options(drape, "separate-limbs", "own-clothes")
+    add_options(drape, "source-rate", "separate-limbs", "own-clothes")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     bind = command("bind", _bind, worn)
     bind.add_argument(

@@ -40,14 +40,14 @@ VRM0_TO_ROOT_FRAME = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.
 END_SUFFIX = "_end"
 
 
-def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
     file = GltfFile(path)
     if not file.document.count("skins"):
-        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, up="Y")
+        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:
         raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
-    return retarget(_skinned_mesh(file), rig)
+    return retarget(_skinned_mesh(file), rig, bones=bones)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ import numpy as np
 
 from physkin_core.file_reading import reading
 from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.motion.pace import doubtful_pace
 from physkin_core.progress import Watch
 from physkin_core.rig.bones_file import read_bones_file
 from physkin_core.rig.rig import Rig
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from physkin_core.motion.source_clip import SourceClip
 
 __all__ = ["CLIP_SUFFIXES", "load_clip", "split_clip_name"]
+
+log = logging.getLogger(__name__)
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma")
 CLIP_SUFFIXES = (".bvh", ".amc", ".npz", *GLTF_SUFFIXES)
@@ -55,12 +59,14 @@ def load_clip(
     file, name = split_clip_name(path)
     with reading(f"motion file {path}", MotionError):
         clip = _read(file, name, skeleton)
-        by_hand = read_bones_file(bones, file, rig.bone_names, clip.names)
-        clip = replace(clip, by_hand={bone: clip.names.index(joint) for bone, joint in by_hand.items()})
+        clip = replace(clip, by_hand=read_bones_file(bones, file, rig.bone_names, clip.names))
         if source_rate_hz is not None:
             check_clip_size(clip.frame_count, len(clip.names), source_rate_hz)
             clip = replace(clip, rate_hz=source_rate_hz)
-        return retarget_clip(clip, rig, subject=str(path), name=name or file.stem, watch=watch)
+        motion, report = retarget_clip(clip, rig, subject=str(path), name=name or file.stem, watch=watch)
+    if doubt := doubtful_pace(motion, rig):
+        log.warning("%s: %s", path, doubt)
+    return motion, report
 
 
 def _read(file: Path, name: str, skeleton: str | Path | None) -> SourceClip:

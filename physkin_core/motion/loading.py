@@ -74,9 +74,11 @@ def load_motion(
     if split_clip_name(path)[0].suffix.lower() in CLIP_SUFFIXES:
         return load_clip(path, load_body_model().rig, bones=bones, source_rate_hz=source_rate_hz, watch=watch)[0]
     if source_rate_hz is not None:
-        raise MotionError(f"source_rate_hz is for clips, {', '.join(CLIP_SUFFIXES)}; {path} says when its frames are")
+        raise MotionError(f"source_rate_hz is for clips of {', '.join(CLIP_SUFFIXES)}; {path} has its own times")
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return _read_bag(path, bones)
+    if bones is not None:
+        raise MotionError(f"bones are for files of others; {path} has the rig's own names")
     if path.suffix != ".safetensors":
         if str(path_or_name) not in bundled_motions():
             allowed = ", ".join((".safetensors", *CLIP_SUFFIXES, *BAG_SUFFIXES))
@@ -97,8 +99,9 @@ def _read_bag(path: Path, bones: str | Path | None) -> Motion:
     motion, rig = load_bag_motion(path), load_body_model().rig
     with reading(f"bag {path}", MotionError):
         by_hand = read_bones_file(bones, path, rig.joint_names, motion.joint_names)
-    renamed = {joint: ours for ours, joint in by_hand.items()}
-    return replace(motion, joint_names=tuple(renamed.get(joint, joint) for joint in motion.joint_names))
+    renamed = {number: joint for joint, number in by_hand.items()}
+    names = (renamed.get(number, joint) for number, joint in enumerate(motion.joint_names))
+    return replace(motion, joint_names=tuple(names))
 
 
 def _read(path: Path) -> Motion:

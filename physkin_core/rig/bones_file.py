@@ -7,7 +7,7 @@ has empty, is recognised as ever. Of joint states it names rig joints: {"lowerar
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from physkin_core.file_reading import ContentError, file_beside, read_bytes, read_json, reading, shown
@@ -24,9 +24,9 @@ class BonesFileError(ContentError):
 
 
 def read_bones_file(
-    chosen: str | Path | None, named: Path, bones: Collection[str], joints: Collection[str]
-) -> dict[str, str]:
-    """Joint by bone. chosen: the bones file; None: the one beside the file `named`, if there is one.
+    chosen: str | Path | None, named: Path, bones: Collection[str], joints: Sequence[str]
+) -> dict[str, int]:
+    """Index of the joint by bone. chosen: the bones file; None: the one beside the file `named`, if there is one.
 
     Raises BonesFileError: unreadable, no object, a bone that is none of `bones`, a joint that is none of `joints` or is
     named twice.
@@ -48,4 +48,4 @@ def read_bones_file(
                 raise ContentError(f"{owner} has no {shown(name)}; {f'did you mean {near}?' if near else 'mend that'}")
         if twice := [joint for joint in found.values() if list(found.values()).count(joint) > 1]:
             raise ContentError(f"two bones cannot both be {shown(twice[0])}")
-    return found
+    return {bone: joints.index(joint) for bone, joint in found.items()}
