@@ -19,7 +19,7 @@ from physkin_core.rig.rig import Rig
 if TYPE_CHECKING:
     from physkin_core.motion.source_clip import SourceClip
 
-__all__ = ["CLIP_SUFFIXES", "load_clip", "split_clip_name"]
+__all__ = ["CLIP_SUFFIXES", "describe_clips", "load_clip", "split_clip_name"]
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +67,27 @@ def load_clip(
     if doubt := doubtful_pace(motion, rig):
         log.warning("%s: %s", path, doubt)
     return motion, report
+
+
+def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
+    """How long the clips of a file are, by number and name, and a bones file of them. Raises MotionError."""
+    from physkin_core.formats.gltf_file import GltfFile
+    from physkin_core.motion.gltf_clip import gltf_clip_names
+    from physkin_core.rig.human_skeleton import find_human_skeleton
+
+    file, clip = Path(path), None
+    with reading(f"motion file {path}", MotionError):
+        names, rows = [file.stem], {}
+        if file.suffix.lower() in GLTF_SUFFIXES:
+            names = gltf_clip_names(GltfFile(file))
+        for number, name in enumerate(names, 1):
+            clip = _read(file, str(number) if len(names) > 1 else "", None)
+            seconds = clip.frame_count / clip.rate_hz
+            rows[f"clip {number}"] = f"{name}: {seconds:.2f} s at {clip.rate_hz:.4g} Hz, {len(clip.names)} joints"
+        if clip is None:
+            return {"clips": "none"}
+        human = find_human_skeleton(clip.names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
+        return rows | {"bones": human.bones_file(clip.names, rig)}
 
 
 def _read(file: Path, name: str, skeleton: str | Path | None) -> SourceClip:
