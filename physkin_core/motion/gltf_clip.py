@@ -27,6 +27,8 @@ SLOWEST_HZ = 24.0
 PARTS = {"translation": (0.0, 0, 0), "rotation": (0.0, 0, 0, 1), "scale": (1.0, 1, 1)}
 """Of a node's transform, and what they are where the node does not say."""
 VALUES_A_KEY = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}
+ROUNDING = 1e-4
+"""[s] of times in single precision: a frame has the key that is so near."""
 BLOCK = 1024
 """Frames posed together, which bounds the memory."""
 SQUARE_TURNS = Rotation.create_group("O").as_matrix()
@@ -42,7 +44,7 @@ class _Channel:
 
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """(T, w) at times (T,); before and after all keys, the nearest one."""
-        key = np.maximum(np.searchsorted(self.times, seconds, side="right") - 1, 0)
+        key = np.maximum(np.searchsorted(self.times, seconds + ROUNDING, side="right") - 1, 0)
         following = np.minimum(key + 1, len(self.times) - 1)
         step = np.maximum(self.times[following] - self.times[key], 1e-9)[:, None]
         u = np.clip((seconds - self.times[key])[:, None] / step, 0, 1)
