@@ -255,8 +255,9 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _info(options: argparse.Namespace) -> int:
-    if Path(options.model).suffix.lower() in CLIP_SUFFIXES:
-        return _print_rows(describe_clips(options.model, load_body_model().rig))
+    is_clip = Path(options.model).suffix.lower() in CLIP_SUFFIXES
+    if is_clip and (clips := describe_clips(options.model, load_body_model().rig)):
+        return _print_rows(clips)
     model = load_garment_model(options.model)
     garment, rig = model.garment, model.rig
     sizes = {

@@ -70,7 +70,8 @@ def load_clip(
 
 
 def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
-    """How long the clips of a file are, by number and name, and a bones file of them. Raises MotionError."""
+    """How long the clips of a file are, by number and name, and a bones file of them; empty where there are
+    none. Raises MotionError."""
     from physkin_core.formats.gltf_file import GltfFile
     from physkin_core.motion.gltf_clip import gltf_clip_names
     from physkin_core.rig.human_skeleton import find_human_skeleton
@@ -85,7 +86,7 @@ def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
             seconds = clip.frame_count / clip.rate_hz
             rows[f"clip {number}"] = f"{name}: {seconds:.2f} s at {clip.rate_hz:.4g} Hz, {len(clip.names)} joints"
         if clip is None:
-            return {"clips": "none"}
+            return {}
         human = find_human_skeleton(clip.names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
         return rows | {"bones": human.bones_file(clip.names, rig)}
 

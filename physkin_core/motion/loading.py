@@ -53,7 +53,7 @@ def load_motion(
             retargeted to the default rig: .bvh, .amc, .vrma, SMPL's .npz, or .glb, .gltf and .vrm, whose first clip is
             taken or, with `me.glb#Walk` or `me.glb#2`, another; a bag with joint states, .mcap, .db3 or a folder with
             `metadata.yaml`; or a file that `save_motion` wrote.
-        bones: which joint is which bone, a JSON file (docs/motion.md#bones-file). None: `NAME.bones.json` beside
+        bones: which joint is which bone, a JSON file (docs/avatars.md#bones-file). None: `NAME.bones.json` beside
             `NAME.bvh`, if it exists.
         source_rate_hz: at which a clip was recorded, where its file has no rate or a wrong one. None: what it says.
         watch: called while a clip is retargeted, with the fraction done so far, 0 to 1.

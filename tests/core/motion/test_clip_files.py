@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from core.rig.test_human_skeleton import NAMINGS, _called, _usual_skeleton
 from motion_files import smpl_arrays, write_gltf_clips
 from scipy.spatial.transform import Rotation
 
-from physkin_core import MotionError, load_body_model, load_motion
+from physkin_core import MotionError, cli, load_body_model, load_motion
 from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip
 from physkin_core.motion.clip_retargeting import PARTS, find_joints
 from physkin_core.motion.pace import doubtful_pace
 from physkin_core.motion.source_clip import SourceClip
+from physkin_ros.replay.bags import BagWriter, write_motion
 from physkin_ros.replay.convert import main as convert
 
 RIG = load_body_model().rig
@@ -306,3 +308,27 @@ def test_suffixes_are_listed_where_a_name_is_unknown():
     with pytest.raises(MotionError, match="no bundled motion 'x.c3d'") as error:
         load_motion("x.c3d")
     assert all(suffix in str(error.value) for suffix in CLIP_SUFFIXES)
+
+
+def test_info_lists_clips_and_bones(tmp_path, capsys):
+    """Seconds and rates, and a bones file to be completed."""
+    path = write_gltf_clips(tmp_path / "me.glb", JOINTS, {"Stand": [{}] * 31, "Walk": FRAMES}, rate=30)
+    assert cli.main(["info", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "Stand: 1.03 s at 30 Hz, 15 joints" in said and "Walk: 0.30 s at 30 Hz" in said
+    assert '"upperarm01.L": "LeftArm"' in said
+
+
+def test_one_bones_file_names_joints_of_bags(tmp_path):
+    """Joints of the rig, whatever a robot calls them."""
+    walk_of_robot = load_motion("walk")
+    names = tuple({"lowerarm01.L_z": "left_elbow"}.get(name, name) for name in walk_of_robot.joint_names)
+    with BagWriter(tmp_path / "bag") as writer:
+        write_motion(writer, replace(walk_of_robot, joint_names=names), frame_id="base_link", world_frame="world")
+    file = tmp_path / "b.json"
+    file.write_text('{"lowerarm01.L_z": "left_elbow"}')
+    read = load_motion(tmp_path / "bag", bones=file)
+    assert set(read.joint_names) == set(RIG.joint_names)
+    file.write_text('{"lowerarm01.L_z": "left_elbo"}')
+    with pytest.raises(MotionError, match="b.json: bag has no 'left_elbo'; did you mean 'left_elbow'"):
+        load_motion(tmp_path / "bag", bones=file)
