@@ -26,6 +26,7 @@ from physkin_core.avatar.skinned_mesh import (
 from physkin_core.file_reading import ContentError, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
@@ -39,14 +40,14 @@ VRM0_TO_ROOT_FRAME = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.
 END_SUFFIX = "_end"
 
 
-def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
     file = GltfFile(path)
     if not file.document.count("skins"):
-        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, up="Y")
+        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:
         raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
-    return retarget(_skinned_mesh(file), rig)
+    return retarget(_skinned_mesh(file), rig, bones=bones)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
@@ -67,7 +68,7 @@ def _plain_mesh(file: GltfFile) -> Surface:
 
 
 def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
-    humanoid = _humanoid_nodes(file)
+    humanoid = humanoid_nodes(file)
     joint_nodes, node_joint = _joints(file, humanoid or {})
     warnings, parts, start = [], [], 0
     for drawn in drawn_primitives(file):
@@ -207,22 +208,6 @@ def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:
             if file.nodes[child].text("name") == end:
                 tails[joint] = file.node_worlds[child][:3, 3]
     return tails
-
-
-def _humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
-    """Node by VRM humanoid bone, or None for a file that is not a VRM."""
-    extensions = file.document.entry("extensions")
-    if "VRMC_vrm" in extensions:
-        bones = extensions.entry("VRMC_vrm").entry("humanoid").entry("humanBones")
-        nodes = {name: bones.entry(name).integer("node") for name in bones.members}
-    elif "VRM" in extensions:
-        bones = extensions.entry("VRM").entry("humanoid").entries("humanBones")
-        nodes = {bone.text("bone"): bone.integer("node") for bone in bones}
-    else:
-        return None
-    for node in nodes.values():
-        file.document.item("nodes", node)
-    return nodes
 
 
 def _frame(file: GltfFile) -> np.ndarray:

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from physkin_core.file_reading import ContentError, shown, with_decimal_points
-from physkin_core.motion.mocap_files import MOST_JOINTS, Joint, Skeleton, numbers_of
+from physkin_core.motion.mocap_files import Joint, Skeleton, numbers_of
+from physkin_core.motion.source_clip import MOST_JOINTS
 
 __all__ = ["read_bvh"]
 

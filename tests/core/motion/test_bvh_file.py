@@ -11,7 +11,7 @@ from bvh_clips import JOINTS, POSE, write_bvh
 from physkin_core import MotionError, load_body_model
 from physkin_core.file_reading import ContentError, read_text
 from physkin_core.motion.bvh_file import read_bvh
-from physkin_core.motion.mocap import load_mocap
+from physkin_core.motion.clip_files import load_clip as load_mocap
 
 
 @pytest.fixture(scope="module")

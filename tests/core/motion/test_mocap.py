@@ -11,7 +11,7 @@ from bvh_clips import JOINTS, POSE, write_bvh
 from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
-from physkin_core.motion.mocap import load_mocap
+from physkin_core.motion.clip_files import load_clip as load_mocap
 from physkin_core.progress import progress_line
 
 ASF_NAMES = {"Hips": "root", "Spine1": "thorax", "Head": "head"}
