@@ -70,8 +70,8 @@ def retarget_clip(
 def _hanging(source: SourceClip, joint: dict[str, int], rig: Rig) -> tuple[dict[str, Rotation], np.ndarray]:
     """What `retarget` wants: rotations by its joints; also root positions (T, 3) [m], Z up.
 
-    Arms of the rig end where the source's do, seen from the shoulder and as a share of their length. Hips, and feet seen
-    from them, are where they are in the source, as a share of the legs' length: feet that stand do not slide.
+    Arms of the rig end where the source's do, seen from the shoulder and as a share of their length. Hips, and feet
+    seen from them, are where they are in the source, as a share of the legs' length: feet that stand do not slide.
     """
     posed = {part: source.turned(index) for part, index in joint.items()}
     at_rest = {part: source.rest[index] for part, index in joint.items()}

@@ -18,7 +18,7 @@ FULL_REACH = 1 - 1e-4
 def limb_towards(
     end: np.ndarray, source_upper: np.ndarray, hinge: np.ndarray, upper: float, lower: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (T, 3) of a limb's segments, of lengths `upper` and `lower`, that lead to `end` or as near as they can.
+    """Directions (T, 3) of a limb's segments, of lengths `upper` and `lower`, that lead to `end`, or towards it.
 
     end: (T, 3) where the limb is to end, from where it begins. source_upper: (T, 3) direction of the source's upper
     segment, on whose side the limb bends. hinge: (T, 3) axis of its middle joint, about which the lower segment turns

@@ -160,7 +160,7 @@ POSE = {
 @pytest.mark.parametrize("kind", ["bvh", "along bones", "amc"])
 def test_limbs_point_where_the_files_do(kind, rig, tmp_path):
     """Arms and legs, whatever the file's axes and wherever its joints are without rotation. They end where the file's
-    do, so that segments whose lengths have another ratio, by a tenth, point elsewhere by some degrees where they bend."""
+    do: segments whose lengths have another ratio, by a tenth, point elsewhere by some degrees where they bend."""
     if kind == "amc":
         motion, report = load_mocap(write_amc(tmp_path, [POSE] * 3), rig, source_rate_hz=60)
     elif kind == "along bones":
