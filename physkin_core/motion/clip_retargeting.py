@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.file_reading import ContentError
 from physkin_core.motion.calibration_pose import calibration_frames
+from physkin_core.motion.limb_ends import limb_towards
 from physkin_core.motion.motion import Motion
 from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.motion.source_clip import RATE_HZ, SourceClip
@@ -55,49 +56,71 @@ def retarget_clip(
         )
         clip = clip.at(slice(calibration, None))
     clip = clip.at(slice(None, None, max(1, round(clip.rate_hz / RATE_HZ))))
-    rotations, positions, leg = _hanging(clip, joints)
+    rotations, positions = _hanging(clip, joints, rig)
     joint_positions, report = retarget(rig, rotations, watch=watch)
     report.pop("at_limit")
     root = rotations["root"]
     forward = root[0].apply([1.0, 0.0, 0.0])
     ahead = Rotation.from_euler("z", -np.arctan2(forward[1], forward[0]))
-    positions = ahead.apply(positions - positions[0] * [1, 1, 0]) * (leg_length(rig) / leg)
+    positions = ahead.apply(positions - positions[0] * [1, 1, 0])
     motion = Motion(rig.joint_names, joint_positions, (ahead * root).as_quat(), positions, clip.rate_hz, name)
     return on_floor(motion.resampled(RATE_HZ)), {bone: mean for bone, (mean, _) in report.items()}
 
 
-def _hanging(source: SourceClip, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:
-    """What `retarget` wants: rotations by its joints; also root positions (T, 3) Z up and the length of a leg."""
+def _hanging(source: SourceClip, joint: dict[str, int], rig: Rig) -> tuple[dict[str, Rotation], np.ndarray]:
+    """What `retarget` wants: rotations by its joints; also root positions (T, 3) [m], Z up.
+
+    Arms of the rig end where the source's do, seen from the shoulder and as a share of their length. Hips, and feet
+    seen from them, are where they are in the source, as a share of the legs' length: feet that stand do not slide.
+    """
     posed = {part: source.turned(index) for part, index in joint.items()}
     at_rest = {part: source.rest[index] for part, index in joint.items()}
+    places = {part: source.places[:, index] for part, index in joint.items()}
     if not _stands(at_rest):
-        posed, at_rest = _from_upright(posed, {part: source.places[:, index] for part, index in joint.items()})
+        posed, at_rest = _from_upright(posed, places)
     up = _nearest_axis(at_rest["neck"] - at_rest["root"])
     left = _nearest_axis(at_rest["hip.L"] - at_rest["hip.R"])
     turn = np.stack([np.cross(left, up), left, up])  # ours <- source
     to_ours = Rotation.from_matrix(turn)
     at_rest = {part: turn @ head for part, head in at_rest.items()}
+    places = {part: place @ turn.T for part, place in places.items()}
     turned = {part: to_ours * rotation * to_ours.inv() for part, rotation in posed.items()}
+    head = dict(zip(rig.bone_names, rig.heads))
 
-    rotations = {part: turned[part] for part in ("root", "chest", "neck", "ankle.L", "ankle.R")}
+    rotations = {part: turned[part] for part in ("root", "chest", "neck", "clavicle.L", "clavicle.R")}
+    rotations |= {part: turned[part] for part in ("ankle.L", "ankle.R")}
+    root, ahead = turned["root"], (places["hip.L"] + places["hip.R"]) / 2
+    middle = (head["upperleg01.L"] + head["upperleg01.R"]) / 2
+    scale = leg_length(rig) / np.mean([_limb_length(at_rest, "hip", "knee", "ankle", side) for side in "LR"])
     for side in "LR":
         # elbows bend forwards, knees backwards: about -Y and +Y of a limb that hangs
         for first, second, end, sense in (("shoulder", "elbow", "wrist", -1), ("hip", "knee", "ankle", 1)):
-            limb = [at_rest[f"{part}.{side}"] for part in (first, second, end)]
-            upper, lower = limb[1] - limb[0], limb[2] - limb[1]
-            above = turned[f"{first}.{side}"]
-            along = [above.apply(_unit(upper)), turned[f"{second}.{side}"].apply(_unit(lower))]
+            parts = [f"{part}.{side}" for part in (first, second, end)]
+            own = [head[f"{PARTS[part]}.{side}"] for part in (first, second, end)]
+            lengths = [float(np.linalg.norm(own[1] - own[0])), float(np.linalg.norm(own[2] - own[1]))]
+            above = turned[parts[0]]
+            along = [above.apply(_unit(at_rest[parts[1]] - at_rest[parts[0]]))]
+            along += [turned[parts[1]].apply(_unit(at_rest[parts[2]] - at_rest[parts[1]]))]
             seen = above.inv().apply(sense * np.cross(along[0], along[1])).mean(axis=0)
-            guess = Rotation.align_vectors([_unit(upper)], [[0.0, 0.0, -1.0]])[0].apply([0.0, 1.0, 0.0])
+            upper = _unit(at_rest[parts[1]] - at_rest[parts[0]])
+            guess = Rotation.align_vectors([upper], [[0.0, 0.0, -1.0]])[0].apply([0.0, 1.0, 0.0])
             hinge = above.apply(_unit(seen + HINGE_GUESS * guess))
-            for part, direction in zip((first, second), along):
+            if first == "hip":
+                reach = scale * (places[parts[2]] - ahead) - root.apply(own[0] - middle)
+            else:
+                share = sum(lengths) / _limb_length(at_rest, first, second, end, side)
+                reach = share * (places[parts[2]] - places[parts[0]])
+            for part, direction in zip(parts, limb_towards(reach, along[0], sense * hinge, *lengths)):
                 axis = hinge - direction * (hinge * direction).sum(axis=1, keepdims=True)
                 axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
                 columns = [np.cross(axis, -direction), axis, -direction]  # images of X, Y, Z
-                rotations[f"{part}.{side}"] = Rotation.from_matrix(np.stack(columns, axis=-1))
-    legs = [at_rest[f"{part}.L"] for part in ("hip", "knee", "ankle")]
-    length = float(np.linalg.norm(legs[1] - legs[0]) + np.linalg.norm(legs[2] - legs[1]))
-    return rotations, source.places[:, joint["root"]] @ turn.T, length
+                rotations[part] = Rotation.from_matrix(np.stack(columns, axis=-1))
+    return rotations, scale * ahead - root.apply(middle)
+
+
+def _limb_length(heads: dict[str, np.ndarray], first: str, second: str, end: str, side: str) -> float:
+    upper, middle, lower = (heads[f"{part}.{side}"] for part in (first, second, end))
+    return float(np.linalg.norm(middle - upper) + np.linalg.norm(lower - middle))
 
 
 def _stands(heads: dict[str, np.ndarray]) -> bool:
@@ -139,8 +162,8 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def find_joints(clip: SourceClip) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`;
-    and what was assumed.
+    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `clavicle` (the chest's in a skeleton without
+    one), `shoulder`, `elbow`, `wrist` with `.L`, `.R`; and what was assumed.
 
     Pelvis and chest are where legs and arms branch. Raises ContentError for a part that no joint was recognised as.
     """
@@ -157,6 +180,7 @@ def find_joints(clip: SourceClip) -> tuple[dict[str, int], tuple[str, ...]]:
     found["chest"] = _branching(clip, found["shoulder.L"], found["shoulder.R"])
     if found["chest"] == human.joints.get("neck01"):  # 3ds Max's bipeds hang their collarbones on it
         found["chest"] = int(clip.parents[found["chest"]])
+    found |= {f"clavicle.{side}": human.joints.get(f"clavicle.{side}", found["chest"]) for side in "LR"}
     return found, human.remarks(names)
 
 

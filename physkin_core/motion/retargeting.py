@@ -25,19 +25,20 @@ from physkin_core.rig.rig import Rig
 __all__ = ["leg_length", "on_floor", "retarget"]
 
 # Source joint -> (rig bone that follows it, bones whose heads give the limb's direction; None: turns as a whole).
-FOLLOWERS = {"chest": ("spine02", None), "neck": ("head", None)}
+FOLLOWERS: dict[str, tuple[str, tuple[str, str] | None]] = {"chest": ("spine02", None), "neck": ("head", None)}
 for _side in ("L", "R"):
     FOLLOWERS |= {
+        f"clavicle.{_side}": (f"clavicle.{_side}", (f"clavicle.{_side}", f"upperarm01.{_side}")),
         f"hip.{_side}": (f"upperleg02.{_side}", (f"upperleg01.{_side}", f"lowerleg01.{_side}")),
         f"knee.{_side}": (f"lowerleg01.{_side}", (f"lowerleg01.{_side}", f"foot.{_side}")),
         f"ankle.{_side}": (f"foot.{_side}", None),
         f"shoulder.{_side}": (f"upperarm02.{_side}", (f"upperarm01.{_side}", f"lowerarm01.{_side}")),
         f"elbow.{_side}": (f"lowerarm01.{_side}", (f"lowerarm01.{_side}", f"wrist.{_side}")),
     }
-UNUSED_BONES = ("clavicle", "wrist")  # the source has neither: they stay at rest
+UNUSED_BONES = ("wrist",)  # files do not agree on how palms lie at rest
 
 HINGE_SHARE = 0.3  # how much a limb's hinge axis counts beside its direction
-FOOT_SHARE = 0.5  # the rig's ankle does not turn about the shin: its foot must not drag the leg along
+FOOT_SHARE = 0.15  # the rig's ankle does not turn about the shin: its foot must not drag the leg along
 STRIDE = 4  # frames of a clip that is solved first, which is faster and smoother
 ITERATIONS = 30, 15  # of these, and then of all frames
 BLOCK = 128  # frames posed together: bounds the memory
@@ -48,16 +49,19 @@ def retarget(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Joint positions (T, d) [rad] that follow global source rotations, and how well they do.
 
-    rotations: of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow` with `.L` and `.R`, T each,
-    relative to a body that looks along X, Z up, arms and legs hanging straight down, elbows and knees bending about Y.
+    rotations: of `root`, `chest`, `neck`, and `clavicle`, `hip`, `knee`, `ankle`, `shoulder`, `elbow` with `.L` and
+    `.R`, T each, relative to a body that looks along X, Z up, arms and legs hanging straight down, elbows and knees
+    bending about Y. Collar bones that are left out stay at rest.
     watch: told the share done, 0 to 1, after every iteration.
     The report gives, by rig bone, the mean and largest angle [degrees] between its direction (trunk and feet: its
     orientation) and the source's, and `at_limit`, the share of solved joint positions that lie on a limit.
     """
-    bones = [rig.bone_index(bone) for bone, _ in FOLLOWERS.values()]
-    axes, targets = zip(*(_directions(rig, rotations, joint) for joint in FOLLOWERS), strict=True)
+    followers = {joint: follower for joint, follower in FOLLOWERS.items() if joint in rotations}
+    bones = [rig.bone_index(bone) for bone, _ in followers.values()]
+    axes, targets = zip(*(_directions(rig, rotations, joint) for joint in followers), strict=True)
     axes, targets = np.stack(axes), np.stack(targets, axis=1)
-    solver = PoseSolver(rig, bones, axes, still=UNUSED_BONES)
+    still = UNUSED_BONES if "clavicle.L" in rotations else (*UNUSED_BONES, "clavicle")
+    solver = PoseSolver(rig, bones, axes, still=still)
 
     q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
     frames = np.arange(len(targets))
@@ -70,7 +74,7 @@ def retarget(
     q[:, solver.dofs] = here
     turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
-    for k, (bone, limb) in enumerate(FOLLOWERS.values()):
+    for k, (bone, limb) in enumerate(followers.values()):
         if limb is None:
             angle = Rotation.from_matrix(turned[:, k] @ targets[:, k].transpose(0, 2, 1)).magnitude()
         else:
@@ -111,6 +115,10 @@ def _directions(rig: Rig, rotations: dict[str, Rotation], joint: str) -> tuple[n
     relative = (rotations["root"].inv() * rotations[joint]).as_matrix()
     weights = np.diag([1.0, HINGE_SHARE, 0.0])
     bone, limb = FOLLOWERS[joint]
+    if joint.startswith("clavicle"):  # its turn from rest leads the shoulder
+        shoulder = rig.heads[rig.bone_index(limb[1])] - rig.heads[rig.bone_index(limb[0])]
+        axes = np.outer(shoulder / np.linalg.norm(shoulder), [1.0, 0.0, 0.0])
+        return axes, relative @ axes
     if limb is None:
         weights = np.eye(3) if joint in ("chest", "neck") else FOOT_SHARE * np.diag([1.0, HINGE_SHARE, HINGE_SHARE])
         return weights, relative @ weights
