@@ -59,7 +59,7 @@ SLOWEST_HZ, HZ_A_SPEED, SPEED_HZ = 0.7, 5.0, 1.0
 CARRY, RECENT, HELD, EASE, TRUST, SINK = 0.1, 0.25, 1.0, 1.5, 0.3, 2.0
 """[s] that a lost landmark moves on, and counts; that a lost limb is held, in which it goes most of the way to rest, in
 which it takes up again; in which the floor rises to a foot."""
-STRAIGHT, NATURAL = 0.1, 0.03
+STRAIGHT, NATURAL = 0.3, 0.03
 """Sines of the bend up to which a limb bends about the axis of before, and about the one that needs no twist."""
 
 
@@ -170,12 +170,19 @@ class LandmarkReader:
             hips = seen[HIPS].all()
             self._complete_trunk(found, seen, passed)
             seen = self._smooth(found, seen, passed)
-            turns, lost = self._turns(seen)
+            turns, lost = self._turns(seen, STRAIGHT * float(np.exp(-passed / RECENT)))
             self.lost = (*lost, *([] if hips else ["hips"]))
             self.status = "part" if self.lost else "seen"
             self._stand(seen, passed)
         self._follow(turns, passed)
         return self._positions.copy(), np.array([*self._place, *Rotation.from_matrix(self._root).as_quat()])
+
+    def mirrored(self, points: np.ndarray) -> bool:
+        """Whether noses of a clip (T, K, 3) point backwards in most frames, as where left and right are exchanged."""
+        at = np.append(points, np.full((len(points), 1, 3), np.nan), axis=1)[:, self._columns] @ self._axes.T
+        left, up = at[:, 5] - at[:, 6], at[:, SHOULDERS].mean(axis=1) - at[:, HIPS].mean(axis=1)
+        ahead = (np.cross(left, up) * (at[:, NOSE] - at[:, EARS].mean(axis=1))).sum(axis=1)
+        return bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
         """Take the person's size; ends of limbs that it makes implausible are not seen. Whether the size is known."""
@@ -217,7 +224,7 @@ class LandmarkReader:
         self._at = np.where(now, self._time, self._at)
         return self._time - self._at[:-1, 0] < RECENT
 
-    def _turns(self, seen: np.ndarray) -> tuple[dict[str, np.ndarray], list[str]]:
+    def _turns(self, seen: np.ndarray, memory: float) -> tuple[dict[str, np.ndarray], list[str]]:
         """Rotations (3, 3) of the rig's bones from their parents, of "root" from the world; which parts are lost."""
         at = self._value
         up = at[SHOULDERS].mean(axis=0) - at[HIPS].mean(axis=0)
@@ -231,7 +238,7 @@ class LandmarkReader:
         elif (self._columns[FACE] < self._count).all():
             lost.append("head")
         for limb in self._limbs:
-            turns |= limb.turns(at, seen, chest if "arm" in limb.name else root, self._hinges)
+            turns |= limb.turns(at, seen, chest if "arm" in limb.name else root, self._hinges, memory)
         return turns, lost
 
     def _stand(self, seen: np.ndarray, passed: float) -> None:
@@ -257,7 +264,9 @@ class LandmarkReader:
         every = np.array([turns.get(bone, np.eye(3)) for bone in self._bones[:-1]])
         wanted = np.zeros(len(self._positions))
         self._solver.solve(every, wanted)
-        wanted = np.clip(self._rig.rest + wanted, self._rig.lower, self._rig.upper)
+        middle = (self._rig.lower + self._rig.upper) / 2
+        wanted = middle + (self._rig.rest + wanted - middle + np.pi) % (2 * np.pi) - np.pi
+        wanted = np.clip(wanted, self._rig.lower, self._rig.upper)
         moved = self._solver.targets
         self._positions[moved] += share[self._solver.owners] * (wanted - self._positions)[moved]
 
@@ -295,16 +304,17 @@ class _Limb:
         self._straight, self._reach = np.arctan2(sine, cosine), np.hypot(sine, cosine)
 
     def turns(
-        self, at: np.ndarray, seen: np.ndarray, carrier: np.ndarray, hinges: dict[str, np.ndarray]
+        self, at: np.ndarray, seen: np.ndarray, carrier: np.ndarray, hinges: dict[str, np.ndarray], memory: float
     ) -> dict[str, np.ndarray]:
-        """Rotations (3, 3) of its bones from their parents. hinges: where it bends, seen from its carrier (3, 3)."""
+        """Rotations (3, 3) of its bones from their parents. hinges: axes about which limbs bend, seen from what carries
+        them (3, 3); kept. memory: what that of before counts."""
         a, b, c, *foot = self.rows
         upper, lower = _unit(at[b] - at[a]), _unit(at[c] - at[b])
         if not (seen[a] and seen[b] and upper.any()):
             return {}
         natural = smallest_rotation(self._upper, carrier.T @ upper) @ self._axis
-        axis = carrier @ (STRAIGHT * hinges.get(self.name, natural) + NATURAL * natural)
-        at_rest, bend = (STRAIGHT + NATURAL) * self._axis, None
+        axis = carrier @ (memory * hinges.get(self.name, natural) + NATURAL * natural)
+        at_rest, bend = (memory + NATURAL) * self._axis, None
         if seen[c] and lower.any():
             angle = np.arccos(np.clip((upper @ lower - self._constant) / self._reach, -1, 1))
             bend = axis_rotation(self._axis, self._straight + angle)

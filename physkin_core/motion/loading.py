@@ -23,6 +23,7 @@ __all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motio
 
 MOCAP_SUFFIXES = (".bvh", ".amc")
 BAG_SUFFIXES = (".mcap", ".db3")
+LANDMARK_SUFFIXES = (".csv", ".json", ".npz")
 ARRAYS = ("positions", "root_orientation", "root_position")
 MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
 
@@ -42,8 +43,8 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
 
     Args:
         path_or_name: the name of an included motion (`bundled_motions`); motion capture, .bvh or .amc, which is
-            retargeted to the default rig; a bag with joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a
-            file that `save_motion` wrote.
+            retargeted to the default rig; landmarks, .csv, .json or .npz, as `load_landmarks` reads them; a bag with
+            joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a file that `save_motion` wrote.
         watch: called while motion capture is read, with the fraction read so far, 0 to 1.
 
     Returns:
@@ -65,12 +66,16 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
         return load_mocap(path, load_body_model().rig, watch=watch)[0]
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return _read_bag(path)
+    if path.suffix.lower() in LANDMARK_SUFFIXES:
+        from physkin_core.motion.landmark_files import load_landmarks
+
+        return load_landmarks(path)
     if path.suffix != ".safetensors":
         if str(path_or_name) not in bundled_motions():
             raise MotionError(
                 f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
-                "(a clip of your own: give the path of its .safetensors, .bvh, .amc, .mcap or .db3 file, or of a bag's "
-                "folder)"
+                "(a clip of your own: give the path of its .safetensors, .bvh, .amc, .csv, .json, .npz, .mcap or .db3 "
+                "file, or of a bag's folder)"
             )
         path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
     with reading(f"motion file {path}", MotionError):
