@@ -57,6 +57,11 @@ def load_landmarks(
 
     Raises:
         MotionError: for a file that cannot be read, is too large, or lacks landmarks, depth or names.
+
+    Examples:
+        >>> np.savez("still.npz", points=np.ones((10, 33, 3)), rate_hz=30.0)
+        >>> physkin.load_landmarks("still.npz").frame_count
+        10
     """
     path = Path(path)
     with reading(f"landmarks {path}", MotionError):
@@ -76,7 +81,7 @@ def load_landmarks(
         if names is None:
             sets = [each for each, known in LANDMARK_SETS.items() if len(known["names"].split()) == points.shape[1]]
             if len(sets) != 1:
-                raise ContentError(f"it has {points.shape[1]} points without names; give names{_either(sets)}")
+                raise ContentError(f"{points.shape[1]} points need names, such as {' or '.join(sets or LANDMARK_SETS)}")
             names = sets[0]
         try:
             reader = LandmarkReader(names, axes=axes or clip.get("axes"), renamed=renamed)
@@ -91,10 +96,6 @@ def load_landmarks(
         positions, roots = (np.array(part) for part in zip(*frames))
         joints = load_body_model().rig.joint_names
         return on_floor(Motion(joints, positions, roots[:, 3:], roots[:, :3], 1 / step, path.stem))
-
-
-def _either(sets: Sequence[str]) -> str:
-    return f", {' or '.join(sets)}" if sets else ""
 
 
 def _times(clip: Mapping[str, Any], count: int, rate_hz: float | None) -> np.ndarray:

@@ -29,20 +29,10 @@ __all__ = ["LANDMARK_SETS", "LandmarkReader"]
 
 LANDMARK_SETS: dict[str, dict[str, str]] = json.loads(Path(__file__).with_name("landmark_sets.json").read_text())
 """Trackers' landmarks in their order; which of their axes point forward, left and up of who looks at the camera."""
-USED = [
-    "nose.",
-    *(f"{part}.{s}" for part in "eye ear shoulder hip elbow wrist knee ankle heel toe".split() for s in "LR"),
-]
+PARTS = "eye ear shoulder hip elbow wrist knee ankle heel toe".split()
+USED = ["nose.", *(f"{part}.{side}" for part in PARTS for side in "LR")]
 SYNONYMS = {"footindex": "toe", "bigtoe": "toe", "foot": "toe"}
-NOSE, EYES, EARS, SHOULDERS, HIPS, TRUNK, FACE = (
-    0,
-    slice(1, 3),
-    slice(3, 5),
-    slice(5, 7),
-    slice(7, 9),
-    slice(5, 9),
-    slice(0, 5),
-)
+EARS, SHOULDERS, HIPS, TRUNK, FACE = slice(3, 5), slice(5, 7), slice(7, 9), slice(5, 9), slice(5)
 X, Y, Z = np.eye(3)
 # On the rig's body [m]:
 STANDING = np.array([[0.021, 0.186, 0.466], [0.021, -0.186, 0.466], [0, 0.113, 0], [0, -0.113, 0]])  # trunk
@@ -67,7 +57,7 @@ class LandmarkReader:
     """Reads landmarks of one person, frame by frame, as joint positions of the default rig and its root.
 
     What is lost is held for a second and then eased to rest, where collarbones, hands and the twist of forearms always
-    are. Lost hips are taken to hang below the shoulders, as they last did.
+    are. Hips that stay lost come to hang below the shoulders.
 
     Args:
         names: of the landmarks, in their order: a tracker (`mediapipe`, `coco`, `body_25`, `kinect_v2`,
@@ -127,7 +117,7 @@ class LandmarkReader:
         """Start anew, with another person."""
         count, bones = len(USED) + 1, len(self._bones)
         self._value, self._speed, self._at = np.zeros((count, 3)), np.zeros((count, 3)), np.full((count, 1), -np.inf)
-        self._time, self._sizes, self._trunk = -np.inf, deque[float](maxlen=SIZES), STANDING
+        self._value[TRUNK], self._time, self._sizes = STANDING, -np.inf, deque[float](maxlen=SIZES)
         self._seen_at, self._trust, self._hinges = np.full(bones, -np.inf), np.zeros(bones), dict[str, np.ndarray]()
         self._positions, self._root = self._rig.rest.copy(), np.eye(3)
         self._place, self._floor = np.array([0.0, 0.0, 0.914]), np.nan
@@ -167,13 +157,11 @@ class LandmarkReader:
         turns: dict[str, np.ndarray] = {}
         self.status, self.lost = "lost", ("trunk",)
         if self._measured(found, seen) and seen[TRUNK].sum() > 1:
-            hips = seen[HIPS].all()
-            self._complete_trunk(found, seen, passed)
-            seen = self._smooth(found, seen, passed)
-            turns, lost = self._turns(seen, STRAIGHT * float(np.exp(-passed / RECENT)))
-            self.lost = (*lost, *([] if hips else ["hips"]))
+            counts = self._smooth(found, seen, passed)
+            turns, lost = self._turns(counts, STRAIGHT * float(np.exp(-passed / RECENT)))
+            self.lost = (*lost, *(["hips"] if not seen[HIPS].all() else []))
             self.status = "part" if self.lost else "seen"
-            self._stand(seen, passed)
+            self._stand(counts, passed)
         self._follow(turns, passed)
         return self._positions.copy(), np.array([*self._place, *Rotation.from_matrix(self._root).as_quat()])
 
@@ -181,7 +169,7 @@ class LandmarkReader:
         """Whether noses of a clip (T, K, 3) point backwards in most frames, as where left and right are exchanged."""
         at = np.append(points, np.full((len(points), 1, 3), np.nan), axis=1)[:, self._columns] @ self._axes.T
         left, up = at[:, 5] - at[:, 6], at[:, SHOULDERS].mean(axis=1) - at[:, HIPS].mean(axis=1)
-        ahead = (np.cross(left, up) * (at[:, NOSE] - at[:, EARS].mean(axis=1))).sum(axis=1)
+        ahead = (np.cross(left, up) * (at[:, 0] - at[:, EARS].mean(axis=1))).sum(axis=1)
         return bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
@@ -197,24 +185,11 @@ class LandmarkReader:
             seen[end] &= PLAUSIBLE[0] < size / self._size < PLAUSIBLE[1]
         return bool(self._sizes)
 
-    def _complete_trunk(self, found: np.ndarray, seen: np.ndarray, passed: float) -> None:
-        """Put lost hips and shoulders where they were beside the others; a lost pair comes to stand upright."""
-        here, now = found[TRUNK] / self._size, seen[TRUNK].copy()
-        for pair, other in ((slice(0, 2), slice(2, 4)), (slice(2, 4), slice(0, 2))):
-            if now[pair].all() and not now[other].any():
-                left = (here[pair][0] - here[pair][1]) * [1, 1, 0]
-                upright = STANDING @ _turn(left, Z, Y, Z).T
-                shift = (self._trunk - upright)[pair].mean(axis=0)
-                self._trunk = self._trunk + (upright + shift - self._trunk) * (1 - np.exp(-passed / EASE))
-        if now.all():
-            self._trunk = here
-        found[TRUNK] = self._size * np.where(now[:, None], here, self._trunk + (here - self._trunk)[now].mean(axis=0))
-        seen[TRUNK] = True
-
     def _smooth(self, found: np.ndarray, seen: np.ndarray, passed: float) -> np.ndarray:
         """Smooth landmarks in the rig's size, from the middle of the hips, and that itself. Which of them count."""
-        hips = found[HIPS].mean(axis=0)
-        here, now = np.array([*(found - hips), hips]) / self._size, np.append(seen, True)[:, None]
+        found, trunk = found / self._size, np.flatnonzero(seen[TRUNK]) + TRUNK.start
+        hips = found[HIPS].mean(axis=0) if seen[HIPS].all() else (found - self._value[:-1])[trunk].mean(axis=0)
+        here, now = np.array([*(found - hips), hips]), np.append(seen, True)[:, None]
         since = np.maximum(self._time - self._at, 1e-6)
         speed = self._speed + _let_through(SPEED_HZ, since) * ((here - self._value) / since - self._speed)
         cutoff = SLOWEST_HZ + HZ_A_SPEED * np.linalg.norm(speed, axis=1, keepdims=True)
@@ -222,7 +197,13 @@ class LandmarkReader:
         smooth = self._value + _let_through(cutoff, since) * (here - self._value)
         self._value = np.where(now, smooth, self._value + self._speed * passed)
         self._at = np.where(now, self._time, self._at)
-        return self._time - self._at[:-1, 0] < RECENT
+        counts = self._time - self._at[:-1, 0] < RECENT
+        if not counts[HIPS].any():
+            shoulders = self._value[SHOULDERS]
+            below = (STANDING[2:] - UP) @ _turn((shoulders[0] - shoulders[1]) * [1, 1, 0], Z, Y, Z).T
+            self._value[HIPS] += (shoulders.mean(axis=0) + below - self._value[HIPS]) * (1 - np.exp(-passed / EASE))
+        counts[TRUNK] = True
+        return counts
 
     def _turns(self, seen: np.ndarray, memory: float) -> tuple[dict[str, np.ndarray], list[str]]:
         """Rotations (3, 3) of the rig's bones from their parents, of "root" from the world; which parts are lost."""
@@ -232,7 +213,7 @@ class LandmarkReader:
         turns = {"root": root} | dict.fromkeys(SPINE, _part(root.T @ chest, 1 / 3))
         lost = [limb.name for limb in self._limbs if not seen[limb.rows[:3]].all()]
         if seen[FACE].all():
-            ahead = at[NOSE : EYES.stop].mean(axis=0) - at[EARS].mean(axis=0)
+            ahead = at[:3].mean(axis=0) - at[EARS].mean(axis=0)
             head = _turn(at[EARS][0] - at[EARS][1], ahead, Y, AHEAD)
             turns |= dict.fromkeys(NECK, _part(chest.T @ head, 1 / 3))
         elif (self._columns[FACE] < self._count).all():

@@ -333,7 +333,7 @@ NOTHING = [[0.0, 1.0, 2.0]]
         ("a.json", "{", "is not JSON"),
         ("b.json", "{}", "has no list of frames"),
         ("c.json", json.dumps([[[0, 1]] * 33]), r"a point is \[0, 1\]; expected x, y, z"),
-        ("d.json", json.dumps([NOTHING * 25]), "25 points without names; give names, body_25 or kinect_v2"),
+        ("d.json", json.dumps([NOTHING * 25]), "25 points need names, such as body_25 or kinect_v2"),
         ("e.json", json.dumps([NOTHING * 33, NOTHING]), "different numbers of points"),
         ("f.json", json.dumps([{"time": 5 * t, "points": NOTHING * 33} for t in range(3)]), "its frames are 5 s apart"),
         ("g.json", json.dumps({"rate_hz": -3, "frames": [NOTHING * 33] * 3}), "are not 3 that rise"),
