@@ -32,6 +32,8 @@ LEAST_CONFIDENCE = 0.3
 CONFIDENCE = ("confidence", "visibility", "score", "likelihood")
 TIMES = {"time": 1.0, "t": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "timestamp_ms": 1e-3}
 """Column of times -> its unit [s]."""
+STANDING = (("y z x", "y -z -x"), ("z x y", "-z x -y"), ("x y z", "x -y -z"))
+"""Axes forward, left and up of clips whose trunks stand along x, y or z, upwards and downwards."""
 
 
 def load_landmarks(
@@ -49,7 +51,8 @@ def load_landmarks(
             list of frames, or `frames` beside `names`, `rate_hz` and `axes`, each frame a list of points or points by
             name, or these as `points` beside its `time`; or .npz with `points` (T, K, 3), perhaps `names`,
             `confidence` (T, K), `times` (T,) [s] or `rate_hz`, and `axes`.
-        names, axes, renamed: as of `LandmarkReader`, in place of the file's.
+        names, axes, renamed: as of `LandmarkReader`, in place of the file's. Where neither tracker nor axes are named,
+            the axis is up along which most trunks stand.
         rate_hz: frames a second, in place of the file's.
 
     Returns:
@@ -83,11 +86,16 @@ def load_landmarks(
             if len(sets) != 1:
                 raise ContentError(f"{points.shape[1]} points need names, such as {' or '.join(sets or LANDMARK_SETS)}")
             names = sets[0]
+        axes = axes or clip.get("axes")
         try:
-            reader = LandmarkReader(names, axes=axes or clip.get("axes"), renamed=renamed)
+            reader = LandmarkReader(names, axes=axes, renamed=renamed)
+            stands, mirrored = reader.facing(points)
+            if axes is None and not isinstance(names, str):
+                way = np.abs(stands).argmax()
+                reader = LandmarkReader(names, axes=STANDING[way][int(stands[way] < 0)], renamed=renamed)
         except MotionError as error:
             raise ContentError(str(error)) from error
-        if reader.mirrored(points):
+        if mirrored:
             raise ContentError("noses point backwards: left and right are exchanged, or axes are mirrored; give axes")
         times = _times(clip, len(points), rate_hz)
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / USUAL_HZ

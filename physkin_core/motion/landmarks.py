@@ -165,12 +165,13 @@ class LandmarkReader:
         self._follow(turns, passed)
         return self._positions.copy(), np.array([*self._place, *Rotation.from_matrix(self._root).as_quat()])
 
-    def mirrored(self, points: np.ndarray) -> bool:
-        """Whether noses of a clip (T, K, 3) point backwards in most frames, as where left and right are exchanged."""
+    def facing(self, points: np.ndarray) -> tuple[np.ndarray, bool]:
+        """How trunks of a clip (T, K, 3) stand, the median direction (3,), and whether most noses point backwards."""
         at = np.append(points, np.full((len(points), 1, 3), np.nan), axis=1)[:, self._columns] @ self._axes.T
         left, up = at[:, 5] - at[:, 6], at[:, SHOULDERS].mean(axis=1) - at[:, HIPS].mean(axis=1)
         ahead = (np.cross(left, up) * (at[:, 0] - at[:, EARS].mean(axis=1))).sum(axis=1)
-        return bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
+        stands = np.median(up[np.isfinite(up).all(axis=1)], axis=0) if np.isfinite(up).all(axis=1).any() else Z
+        return stands, bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
         """Take the person's size; ends of limbs that it makes implausible are not seen. Whether the size is known."""

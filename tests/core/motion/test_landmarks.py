@@ -1,5 +1,6 @@
 """Landmarks to joint positions: our own body's landmarks give back its pose, with noise, gaps, and half of a body."""
 
+import itertools
 import json
 
 import numpy as np
@@ -186,6 +187,11 @@ def test_half_a_body(rig):
     np.testing.assert_allclose(positions[:, legs], np.tile(rig.rest[legs], (90, 1)), atol=1e-9)
     arms = angles_between(landmarks_of(rig, positions[-1:], roots[-1:]), truth, {"": SEGMENTS["upper arm"]})[""]
     assert arms.max() < 10
+    quarter = upper @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # to the left
+    for frame, points in enumerate(quarter, start=90):
+        _, root = reader.read(points, time_s=frame / RATE_HZ)
+    turned = 2 * np.degrees(np.arctan2(root[5], root[6]) - np.arctan2(roots[-1, 5], roots[-1, 6]))
+    assert abs(turned - 90) < 15
 
 
 def test_a_lost_person_comes_to_rest(rig):
@@ -290,7 +296,7 @@ def test_files(rig, tmp_path, walk, kind):
     """Limbs are where they were; the clip has its rate and its length."""
     truth, points = walk
     path = written(tmp_path, kind, points)
-    motion = physkin.load_landmarks(path, axes="-z x -y") if kind.startswith("csv") else physkin.load_motion(path)
+    motion = physkin.load_motion(path)
     assert motion.frame_count == len(points) and motion.rate_hz == pytest.approx(RATE_HZ, rel=1e-3)
     assert motion.name == "clip"
     read = motion.positions_for(rig), motion.root.astype(np.float64)
@@ -317,6 +323,23 @@ def test_mirrored_clips_are_refused(tmp_path, walk):
     with pytest.raises(MotionError, match=r"mirrored\.npz: noses point backwards"):
         physkin.load_motion(tmp_path / "mirrored.npz")
     physkin.load_landmarks(tmp_path / "mirrored.npz", axes="-z -x -y")
+
+
+@pytest.mark.parametrize("axes", list(itertools.permutations(range(3))))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_axis_that_is_up_is_found(rig, tmp_path, walk, axes, sign):
+    """Of named points in any right-handed axes: the same joint positions, and as upright."""
+    truth, _ = walk
+    turn = np.zeros((3, 3))
+    turn[range(3), axes] = 1.0
+    turn[0] *= sign
+    turn[1] *= np.linalg.det(turn)
+    expected, read = (tmp_path / f"{name}.npz" for name in ("expected", "read"))
+    np.savez(expected, points=truth, names=USED, rate_hz=RATE_HZ)
+    np.savez(read, points=truth @ turn.T, names=USED, rate_hz=RATE_HZ)
+    expected, read = physkin.load_motion(expected), physkin.load_motion(read)
+    np.testing.assert_allclose(read.positions, expected.positions, atol=1e-5)
+    np.testing.assert_allclose(read.gravity, expected.gravity, atol=1e-5)
 
 
 NOTHING = [[0.0, 1.0, 2.0]]
