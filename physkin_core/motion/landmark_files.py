@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 LARGEST = 1 << 26  # [bytes] of a file, and of what it unpacks to
 USUAL_HZ = 30.0  # where a file does not say
-LONGEST_STEP = 1.0  # [s] between frames; longer ones are no seconds
+LONGEST_STEP, PAUSES = 1.0, 4  # [s] between frames; times as long as without pauses
 LONGEST_GAP = 0.5  # [s] over which a lost landmark moves in a straight line
 LEAST_CONFIDENCE = 0.3
 CONFIDENCE = ("confidence", "visibility", "score", "likelihood")
@@ -62,8 +62,10 @@ def load_landmarks(
         MotionError: for a file that cannot be read, is too large, or lacks landmarks, depth or names.
 
     Examples:
-        >>> np.savez("still.npz", points=np.ones((10, 33, 3)), rate_hz=30.0)
-        >>> physkin.load_landmarks("still.npz").frame_count
+        >>> names = ["left_shoulder", "right_shoulder", "left_hip", "right_hip"]
+        >>> frame = [[0.0, 0.2, 1.4], [0.0, -0.2, 1.4], [0.0, 0.1, 0.9], [0.0, -0.1, 0.9]]
+        >>> np.savez("stands.npz", points=[frame] * 10, names=names, rate_hz=30.0)
+        >>> physkin.load_landmarks("stands.npz").frame_count
         10
     """
     path = Path(path)
@@ -100,8 +102,10 @@ def load_landmarks(
         times = _times(clip, len(points), rate_hz)
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / USUAL_HZ
         even = np.arange(times[0], times[-1] + step / 2, step)
-        frames = [reader.read(each, time_s=time) for each, time in zip(_bridged(points, times, even), even)]
-        positions, roots = (np.array(part) for part in zip(*frames))
+        frames = [(*reader.read(each, time_s=t), reader.status) for each, t in zip(_bridged(points, times, even), even)]
+        positions, roots, status = (np.array(part) for part in zip(*frames))
+        if (status == "lost").all():
+            raise ContentError("no frame shows both shoulders or both hips, and a limb")
         joints = load_body_model().rig.joint_names
         return on_floor(Motion(joints, positions, roots[:, 3:], roots[:, :3], 1 / step, path.stem))
 
@@ -116,10 +120,10 @@ def _times(clip: Mapping[str, Any], count: int, rate_hz: float | None) -> np.nda
     steps = np.diff(times)
     if times.shape != (count,) or not (np.isfinite(times).all() and (steps > 0).all()):
         raise ContentError(f"its times {shown(times[:3].tolist())} … are not {count} that rise")
-    if count > 1 and (np.median(steps) > LONGEST_STEP or times[-1] - times[0] > MOST_FRAMES * np.median(steps)):
+    if count > 1 and (np.median(steps) > LONGEST_STEP or steps.mean() > PAUSES * np.median(steps)):
         raise ContentError(
-            f"its frames are {np.median(steps):.3g} s apart and span {times[-1] - times[0]:.3g} s; allowed are "
-            f"{LONGEST_STEP:g} s and {MOST_FRAMES} frames; give rate_hz, or cut it"
+            f"its {count} frames are {np.median(steps):.3g} s apart and span {steps.sum():.3g} s; allowed are steps of "
+            f"{LONGEST_STEP:g} s, and {PAUSES} times the frames' own; give rate_hz, or cut pauses out"
         )
     return times
 

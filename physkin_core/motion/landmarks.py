@@ -167,6 +167,8 @@ class LandmarkReader:
 
     def facing(self, points: np.ndarray) -> tuple[np.ndarray, bool]:
         """How trunks of a clip (T, K, 3) stand, the median direction (3,), and whether most noses point backwards."""
+        if points.shape[1:] != (self._count, 3):
+            raise MotionError(f"points have shape {points.shape}; expected (T, {self._count}, 3), one for each name")
         at = np.append(points, np.full((len(points), 1, 3), np.nan), axis=1)[:, self._columns] @ self._axes.T
         left, up = at[:, 5] - at[:, 6], at[:, SHOULDERS].mean(axis=1) - at[:, HIPS].mean(axis=1)
         ahead = (np.cross(left, up) * (at[:, 0] - at[:, EARS].mean(axis=1))).sum(axis=1)

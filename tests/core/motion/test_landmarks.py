@@ -358,16 +358,28 @@ NOTHING = [[0.0, 1.0, 2.0]]
         ("c.json", json.dumps([[[0, 1]] * 33]), r"a point is \[0, 1\]; expected x, y, z"),
         ("d.json", json.dumps([NOTHING * 25]), "25 points need names, such as body_25 or kinect_v2"),
         ("e.json", json.dumps([NOTHING * 33, NOTHING]), "different numbers of points"),
-        ("f.json", json.dumps([{"time": 5 * t, "points": NOTHING * 33} for t in range(3)]), "its frames are 5 s apart"),
+        (
+            "f.json",
+            json.dumps([{"time": 5 * t, "points": NOTHING * 33} for t in range(3)]),
+            "its 3 frames are 5 s apart",
+        ),
         ("g.json", json.dumps({"rate_hz": -3, "frames": [NOTHING * 33] * 3}), "are not 3 that rise"),
+        (
+            "h.json",
+            json.dumps({"names": "coco", "frames": [NOTHING * 33] * 3}),
+            r"expected \(T, 17, 3\), one for each name",
+        ),
+        ("i.json", json.dumps([[[None] * 3] * 33] * 3), "no frame shows both shoulders"),
+        ("j.json", json.dumps([{"time": t, "points": NOTHING * 33} for t in (0, 0.1, 0.2, 9)]), "cut pauses out"),
         ("a.npz", "no archive", "malformed"),
+        ("a.txt", "", "expected .csv, .json or .npz"),
     ],
 )
 def test_refused_files(tmp_path, name, content, said):
     """One sentence that names the file."""
     (tmp_path / name).write_text(content)
     with pytest.raises(MotionError, match=said) as refused:
-        physkin.load_motion(tmp_path / name)
+        physkin.load_landmarks(tmp_path / name)
     assert f"{name}" in str(refused.value) and len(str(refused.value)) <= 300
 
 
