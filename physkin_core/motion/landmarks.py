@@ -302,7 +302,7 @@ class _Limb:
         if seen[c] and lower.any():
             angle = np.arccos(np.clip((upper @ lower - self._constant) / self._reach, -1, 1))
             bend = axis_rotation(self._axis, self._straight + angle)
-            axis, at_rest = axis + np.cross(upper, lower), at_rest + np.cross(self._upper, bend @ self._lower)
+            axis, at_rest = axis + _cross(upper, lower), at_rest + _cross(self._upper, bend @ self._lower)
         above = _turn(upper, axis, self._upper, at_rest)
         hinges[self.name] = carrier.T @ above @ self._axis
         turns = {self.bones[0]: carrier.T @ above}
@@ -333,17 +333,24 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / (np.sqrt(vector @ vector) or 1.0)
 
 
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of two vectors (3,); NumPy's takes three times as long."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
 def _turn(first: np.ndarray, second: np.ndarray, first_rest: np.ndarray, second_rest: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) that takes two directions at rest to those that are seen, the first exactly."""
     frames = []
     for one, two in ((first, second), (first_rest, second_rest)):
         one = _unit(one) if one.any() else X
-        across = np.cross(one, two)
-        across = _unit(across if across @ across > 1e-18 else np.cross(one, np.eye(3)[np.abs(one).argmin()]))
-        frames.append(np.array([one, np.cross(across, one), across]))
+        across = _cross(one, two)
+        across = _unit(across if across @ across > 1e-18 else _cross(one, np.eye(3)[np.abs(one).argmin()]))
+        frames.append(np.array([one, _cross(across, one), across]))
     return frames[0].T @ frames[1]
 
 
 def _part(turn: np.ndarray, share: float) -> np.ndarray:
-    """A share of a rotation (3, 3)."""
-    return Rotation.from_rotvec(share * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+    """A share of a rotation (3, 3); none of half a turn, whose axis is not known."""
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return axis_rotation(_unit(axis), share * np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
