@@ -18,7 +18,6 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.file_reading import ContentError, listed, read_bytes, read_json, reading, shown
 from physkin_core.motion.landmarks import LANDMARK_SETS, LandmarkReader
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
-from physkin_core.motion.retargeting import on_floor
 
 __all__ = ["load_landmarks"]
 
@@ -68,6 +67,8 @@ def load_landmarks(
         >>> physkin.load_landmarks("stands.npz").frame_count
         10
     """
+    from physkin_core.motion.retargeting import on_floor
+
     path = Path(path)
     with reading(f"landmarks {path}", MotionError):
         read = {".csv": _csv, ".json": _json, ".npz": _npz}.get(path.suffix.lower())

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.file_reading import listed, shown
@@ -140,6 +139,8 @@ class LandmarkReader:
         Raises:
             MotionError: for another shape, or a time that is not finite.
         """
+        from scipy.spatial.transform import Rotation
+
         points = np.asarray(points, dtype=np.float64)
         trusted = np.ones(self._count) if confidence is None else np.asarray(confidence, dtype=np.float64)
         if points.shape != (self._count, 3) or trusted.shape != (self._count,) or not np.isfinite(time_s):

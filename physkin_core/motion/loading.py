@@ -15,6 +15,7 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.extras import install_command
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
+from physkin_core.motion.landmark_files import load_landmarks
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
 from physkin_core.tensor_file import read_tensors
@@ -67,8 +68,6 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
         return _read_bag(path)
     if path.suffix.lower() in LANDMARK_SUFFIXES:
-        from physkin_core.motion.landmark_files import load_landmarks
-
         return load_landmarks(path)
     if path.suffix != ".safetensors":
         if str(path_or_name) not in bundled_motions():
