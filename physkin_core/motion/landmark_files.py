@@ -157,9 +157,10 @@ def _csv(content: bytes) -> dict[str, Any]:
         raise ContentError(f"{listed([start[:-1] for start in lacking])} lack columns for y and z")
     if not starts or not rows.strip():
         raise ContentError(f"it has columns {listed(titles)}; expected nose_x, nose_y, nose_z, and so on, and rows")
-    table = np.genfromtxt(io.StringIO(rows), delimiter=delimiter, ndmin=2)
-    if table.shape[1] != len(titles):
-        raise ContentError(f"its rows have {table.shape[1]} values, its header {len(titles)}")
+    for number, row in enumerate(rows.splitlines(), start=2):
+        if row.strip() and (cells := 1 + row.count(delimiter)) != len(titles):
+            raise ContentError(f"row {number} has {cells} values, its header {len(titles)}")
+    table = np.genfromtxt(io.StringIO(rows), delimiter=delimiter, ndmin=2, comments=None)
     column = dict(zip((title.lower() for title in titles), table.T))
     points = np.array([[column[f"{start}{axis}".lower()] for axis in "xyz"] for start in starts])
     clip = {"names": [start[:-1] for start in starts], "points": points.transpose(2, 0, 1)}

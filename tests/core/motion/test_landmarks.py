@@ -350,7 +350,7 @@ NOTHING = [[0.0, 1.0, 2.0]]
     [
         ("a.csv", "time,nose_x,nose_y\n0,1,2\n1,2,3\n", "'nose' lack columns for y and z"),
         ("b.csv", "what,ever\n1,2\n", "columns 'what', 'ever'; expected nose_x"),
-        ("c.csv", "a_x,a_y,a_z\n1,2\n", "its rows have 2 values, its header 3"),
+        ("c.csv", "a_x,a_y,a_z\n1,2\n", "row 2 has 2 values, its header 3"),
         ("d.csv", "a_x,a_y,a_z\n1,2,3\n", "no landmark for shoulder.L"),
         ("e.csv", "", "it has columns ''; expected nose_x"),
         ("a.json", "{", "is not JSON"),
