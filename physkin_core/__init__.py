@@ -7,6 +7,8 @@ from physkin_core.model.fabric import FABRICS, Fabric, with_fabric
 from physkin_core.model.garment import Garment, GarmentError, load_garment
 from physkin_core.model.garment_model import GarmentModel, GarmentModelError, Material
 from physkin_core.model.model_file import ModelFileError, load_garment_model, save_garment_model
+from physkin_core.motion.landmark_files import load_landmarks
+from physkin_core.motion.landmarks import LandmarkReader
 from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.outfit.draper import Draper
@@ -36,6 +38,7 @@ __all__ = [
     "GarmentError",
     "GarmentModel",
     "GarmentModelError",
+    "LandmarkReader",
     "Layer",
     "LimbSeparator",
     "Material",
@@ -54,6 +57,7 @@ __all__ = [
     "load_body_model",
     "load_garment",
     "load_garment_model",
+    "load_landmarks",
     "load_motion",
     "with_fabric",
     "save_garment_model",

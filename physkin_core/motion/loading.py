@@ -17,6 +17,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.extras import install_command
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
 from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip, split_clip_name
+from physkin_core.motion.landmark_files import LANDMARK_SUFFIXES, has_landmarks, load_landmarks
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
 from physkin_core.rig.bones_file import read_bones_file
@@ -51,8 +52,8 @@ def load_motion(
     Args:
         path_or_name: the name of an included motion (`bundled_motions`); a clip of any human skeleton, which is
             retargeted to the default rig: .bvh, .amc, .vrma, SMPL's .npz, or .glb, .gltf and .vrm, whose first clip is
-            taken or, with `me.glb#Walk` or `me.glb#2`, another; a bag with joint states, .mcap, .db3 or their folder;
-            or a file that `save_motion` wrote.
+            taken or, with `me.glb#Walk` or `me.glb#2`, another; landmarks, .csv, .json or .npz, as `load_landmarks`
+            reads them; a bag with joint states, .mcap, .db3 or their folder; or a file that `save_motion` wrote.
         bones: which joint is which bone, a JSON file (docs/avatars.md#bones-file). None: `NAME.bones.json` beside
             `NAME.bvh`, if it exists.
         source_rate_hz: at which a clip was recorded, where its file has no rate or a wrong one. None: what it says.
@@ -71,10 +72,14 @@ def load_motion(
         (60.0, (77, 52))
     """
     path = Path(path_or_name)
+    if has_landmarks(path):
+        return load_landmarks(path, rate_hz=source_rate_hz)
     if split_clip_name(path)[0].suffix.lower() in CLIP_SUFFIXES:
         return load_clip(path, load_body_model().rig, bones=bones, source_rate_hz=source_rate_hz, watch=watch)[0]
     if source_rate_hz is not None:
-        raise MotionError(f"source_rate_hz is for clips of {', '.join(CLIP_SUFFIXES)}; {path} has its own times")
+        raise MotionError(
+            f"source_rate_hz is for clips of {', '.join(CLIP_SUFFIXES)} and landmarks; {path} has its own times"
+        )
     bundled = str(path_or_name) in bundled_motions()
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file() or (path.is_dir() and not bundled):
         return _read_bag(path, bones)
@@ -82,7 +87,7 @@ def load_motion(
         raise MotionError(f"bones are for files of others; {path} has the rig's own names")
     if path.suffix != ".safetensors":
         if not bundled:
-            allowed = ", ".join((".safetensors", *CLIP_SUFFIXES, *BAG_SUFFIXES))
+            allowed = ", ".join((".safetensors", *CLIP_SUFFIXES, *LANDMARK_SUFFIXES[:2], *BAG_SUFFIXES))
             raise MotionError(
                 f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
                 f"(a clip of your own: give the path of its file, {allowed}, or of a bag's folder)"

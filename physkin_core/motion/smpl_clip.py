@@ -52,7 +52,9 @@ def read_smpl_clip(path: Path) -> SourceClip:
     )
     parts = [part for part in ((root, body) if whole is None else (whole,)) if part is not None and part.ndim > 1]
     if len(parts) < 1 + (whole is None):
-        raise ContentError(f"it has {listed(arrays)}; a clip has poses, or root_orient and pose_body, of numbers")
+        raise ContentError(
+            f"it has {listed(arrays)}; a clip has poses, or root_orient and pose_body, of numbers; landmarks are points"
+        )
     count, width = len(parts[0]), 3 * len(JOINTS)
     places = np.zeros((count, 3)) if places is None else places
     parts = [part.reshape(len(part), math.prod(part.shape[1:])) for part in parts]

@@ -1,0 +1,224 @@
+"""Clips of landmarks, .csv, .json and .npz, as motion of the default rig.
+
+Dimensions: `T` frames, `K` landmarks.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.file_reading import ContentError, listed, read_bytes, read_json, reading, shown
+from physkin_core.motion.landmarks import LANDMARK_SETS, LandmarkReader
+from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
+
+__all__ = ["LANDMARK_SUFFIXES", "has_landmarks", "load_landmarks"]
+
+log = logging.getLogger(__name__)
+
+LANDMARK_SUFFIXES = (".csv", ".json", ".npz")
+LARGEST = 1 << 26  # [bytes] of a file, and of what it unpacks to
+USUAL_HZ = 30.0  # where a file does not say
+LONGEST_STEP, PAUSES = 1.0, 4  # [s] between frames; times as long as without pauses
+LONGEST_GAP = 0.5  # [s] over which a lost landmark moves in a straight line
+LEAST_CONFIDENCE = 0.3
+CONFIDENCE = ("confidence", "visibility", "score", "likelihood")
+TIMES = {"time": 1.0, "t": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "timestamp_ms": 1e-3}
+"""Column of times -> its unit [s]."""
+STANDING = (("y z x", "y -z -x"), ("z x y", "-z x -y"), ("x y z", "x -y -z"))
+"""Axes forward, left and up of clips whose trunks stand along x, y or z, upwards and downwards."""
+
+
+def has_landmarks(path: Path) -> bool:
+    """Whether a file is read as landmarks: by its suffix, and of an .npz by its `points`, which other motion lacks."""
+    kind = path.suffix.lower()
+    if kind != ".npz":
+        return kind in LANDMARK_SUFFIXES
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "points.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def load_landmarks(
+    path: str | Path,
+    *,
+    names: str | Sequence[str] | None = None,
+    axes: str | None = None,
+    renamed: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
+) -> Motion:
+    """Read a clip of landmarks as motion of the default rig, standing on the floor.
+
+    Args:
+        path: .csv with columns such as `nose_x`, `nose_y`, `nose_z`, perhaps `nose_confidence` and `time` [s]; .json, a
+            list of frames, or `frames` beside `names`, `rate_hz` and `axes`, each frame a list of points or points by
+            name, or these as `points` beside its `time`; or .npz with `points` (T, K, 3), perhaps `names`,
+            `confidence` (T, K), `times` (T,) [s] or `rate_hz`, and `axes`.
+        names, axes, renamed: as of `LandmarkReader`, in place of the file's. Where neither tracker nor axes are named,
+            the axis is up along which most trunks stand.
+        rate_hz: frames a second, in place of the file's.
+
+    Returns:
+        The motion. Gaps of up to half a second are bridged in a straight line.
+
+    Raises:
+        MotionError: for a file that cannot be read, is too large, or lacks landmarks, depth or names.
+
+    Examples:
+        >>> names = ["left_shoulder", "right_shoulder", "left_hip", "right_hip"]
+        >>> frame = [[0.0, 0.2, 1.4], [0.0, -0.2, 1.4], [0.0, 0.1, 0.9], [0.0, -0.1, 0.9]]
+        >>> np.savez("stands.npz", points=[frame] * 10, names=names, rate_hz=30.0)
+        >>> physkin.load_landmarks("stands.npz").frame_count
+        10
+    """
+    from physkin_core.motion.retargeting import on_floor
+
+    path = Path(path)
+    with reading(f"landmarks {path}", MotionError):
+        read = {".csv": _csv, ".json": _json, ".npz": _npz}.get(path.suffix.lower())
+        if read is None:
+            raise ContentError("expected .csv, .json or .npz")
+        clip = read(read_bytes(path, most=LARGEST))
+        points = np.asarray(clip["points"], dtype=np.float64)
+        if points.ndim != 3 or points.shape[2] not in (3, 4) or not 0 < len(points) <= MOST_FRAMES:
+            raise ContentError(
+                f"its points have shape {points.shape}; expected (T, K, 3), or 4 with confidence; where depth is "
+                "missing, take world landmarks, or lift them"
+            )
+        confidence = points[:, :, 3] if points.shape[2] == 4 else np.asarray(clip.get("confidence", np.inf))
+        points = np.where((confidence < LEAST_CONFIDENCE)[..., None], np.nan, points[:, :, :3])
+        names = clip.get("names") if names is None else names
+        if names is None:
+            sets = [each for each, known in LANDMARK_SETS.items() if len(known["names"].split()) == points.shape[1]]
+            if len(sets) != 1:
+                raise ContentError(f"{points.shape[1]} points need names, such as {' or '.join(sets or LANDMARK_SETS)}")
+            names = sets[0]
+        axes = axes or clip.get("axes")
+        try:
+            reader = LandmarkReader(names, axes=axes, renamed=renamed)
+            stands, mirrored = reader.facing(points)
+            if axes is None and not isinstance(names, str):
+                way = np.abs(stands).argmax()
+                reader = LandmarkReader(names, axes=STANDING[way][int(stands[way] < 0)], renamed=renamed)
+        except MotionError as error:
+            raise ContentError(str(error)) from error
+        if mirrored:
+            raise ContentError("noses point backwards: left and right are exchanged, or axes are mirrored; give axes")
+        times = _times(clip, len(points), rate_hz)
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / USUAL_HZ
+        even = np.arange(times[0], times[-1] + step / 2, step)
+        frames = [(*reader.read(each, time_s=t), reader.status) for each, t in zip(_bridged(points, times, even), even)]
+        positions, roots, status = (np.array(part) for part in zip(*frames))
+        if (status == "lost").all():
+            raise ContentError("no frame shows both shoulders or both hips, and a limb")
+        joints = load_body_model().rig.joint_names
+        return on_floor(Motion(joints, positions, roots[:, 3:], roots[:, :3], 1 / step, path.stem))
+
+
+def _times(clip: Mapping[str, Any], count: int, rate_hz: float | None) -> np.ndarray:
+    """(T,) [s] of frames."""
+    rate_hz = rate_hz or clip.get("rate_hz")
+    if not rate_hz and clip.get("times") is None:
+        log.warning("landmarks do not say their rate: %g frames a second are assumed", USUAL_HZ)
+        rate_hz = USUAL_HZ
+    times = np.arange(count) / float(rate_hz) if rate_hz else np.asarray(clip["times"], dtype=np.float64)
+    steps = np.diff(times)
+    if times.shape != (count,) or not (np.isfinite(times).all() and (steps > 0).all()):
+        raise ContentError(f"its times {shown(times[:3].tolist())} … are not {count} that rise")
+    if count > 1 and (np.median(steps) > LONGEST_STEP or steps.mean() > PAUSES * np.median(steps)):
+        raise ContentError(
+            f"its {count} frames are {np.median(steps):.3g} s apart and span {steps.sum():.3g} s; allowed are steps of "
+            f"{LONGEST_STEP:g} s, and {PAUSES} times the frames' own; give rate_hz, or cut pauses out"
+        )
+    return times
+
+
+def _bridged(points: np.ndarray, times: np.ndarray, even: np.ndarray) -> np.ndarray:
+    """Points (T, K, 3) at other times, NaN in long gaps."""
+    moved = np.full((len(even), *points.shape[1:]), np.nan)
+    for k in range(points.shape[1]):
+        good = np.isfinite(points[:, k]).all(axis=1) & points[:, k].any(axis=1)
+        if not good.any():
+            continue
+        known = times[good]
+        after = np.searchsorted(known, even).clip(max=len(known) - 1)
+        before = (np.searchsorted(known, even, side="right") - 1).clip(min=0)
+        near = (known[after] - known[before] <= LONGEST_GAP) & (np.abs(even - even.clip(known[0], known[-1])) < 1e-6)
+        for axis in range(3):
+            moved[near, k, axis] = np.interp(even[near], known, points[good, k, axis])
+    return moved
+
+
+def _csv(content: bytes) -> dict[str, Any]:
+    text = content.decode("utf-8-sig")
+    header, _, rows = text.partition("\n")
+    delimiter = max(",;\t", key=header.count)
+    if delimiter != ",":
+        rows = rows.replace(",", ".")
+    titles = [title.strip(' "\r') for title in header.split(delimiter)]
+    starts = [title[:-1] for title in titles if title[-2:].lower() in ("_x", ".x", " x")]
+    if lacking := [s for s in starts if not {f"{s}y".lower(), f"{s}z".lower()} <= {t.lower() for t in titles}]:
+        raise ContentError(f"{listed([start[:-1] for start in lacking])} lack columns for y and z")
+    if not starts or not rows.strip():
+        raise ContentError(f"it has columns {listed(titles)}; expected nose_x, nose_y, nose_z, and so on, and rows")
+    for number, row in enumerate(rows.splitlines(), start=2):
+        if row.strip() and (cells := 1 + row.count(delimiter)) != len(titles):
+            raise ContentError(f"row {number} has {cells} values, its header {len(titles)}")
+    table = np.genfromtxt(io.StringIO(rows), delimiter=delimiter, ndmin=2, comments=None)
+    column = dict(zip((title.lower() for title in titles), table.T))
+    points = np.array([[column[f"{start}{axis}".lower()] for axis in "xyz"] for start in starts])
+    clip = {"names": [start[:-1] for start in starts], "points": points.transpose(2, 0, 1)}
+    words = [[start.lower() + word for word in CONFIDENCE if start.lower() + word in column] for start in starts]
+    clip["confidence"] = np.array([column[each[0]] if each else np.ones(len(table)) for each in words]).T
+    if title := next((title for title in TIMES if title in column), None):
+        clip["times"] = column[title] * TIMES[title]
+    return clip
+
+
+def _json(content: bytes) -> dict[str, Any]:
+    clip = read_json(content)
+    clip = dict(clip) if isinstance(clip, dict) else {"frames": clip}
+    if not isinstance(clip.get("frames"), list) or not clip["frames"]:
+        raise ContentError("it has no list of frames")
+    frames = [each if isinstance(each, dict) and "points" in each else {"points": each} for each in clip["frames"]]
+    if all("time" in frame for frame in frames):
+        clip["times"] = [float(frame["time"]) for frame in frames]
+    points = [frame["points"] for frame in frames]
+    if all(isinstance(each, dict) for each in points):
+        clip["names"] = list(dict.fromkeys(name for each in points for name in each))
+        points = [[each.get(name) for name in clip["names"]] for each in points]
+    clip["points"] = [[_point(point) for point in frame or ()] for frame in points]
+    if len({len(frame) for frame in points}) > 1:
+        raise ContentError("its frames have different numbers of points; write null for one that is lost")
+    return clip
+
+
+def _point(value: Any) -> list[float]:
+    """x, y, z and confidence, of a list, an object, or nothing."""
+    if isinstance(value, dict):
+        value = [*(value.get(axis) for axis in "xyz"), next((value[key] for key in CONFIDENCE if key in value), 1.0)]
+    if value is None:
+        value = [None] * 3
+    if not isinstance(value, list) or len(value) not in (3, 4):
+        raise ContentError(f"a point is {shown(value)}; expected x, y, z, and perhaps a confidence")
+    return [np.nan if each is None else float(each) for each in (*value, 1.0)[:4]]
+
+
+def _npz(content: bytes) -> dict[str, Any]:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if (size := sum(each.file_size for each in archive.infolist())) > LARGEST:
+            raise ContentError(f"it unpacks to {size} bytes, allowed are {LARGEST}")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        if "points" not in arrays:
+            raise ContentError(f"it has no array `points`, but {listed(list(arrays))}")
+        clip = {name: arrays[name] for name in arrays}
+    return clip | {name: clip[name].tolist() for name in ("names", "rate_hz", "axes") if name in clip}
