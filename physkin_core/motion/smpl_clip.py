@@ -43,8 +43,9 @@ def read_smpl_clip(path: Path) -> SourceClip:
     """Read a .npz with `poses`, axis and angle of each joint in SMPL's order (T, 66 or more), or with `root_orient` and
     `pose_body`; places `trans` (T, 3) and the rate may be missing. Raises ContentError, and what `read_npz` raises."""
     arrays = read_npz(path)
+    numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "iuf"}
     whole, root, body, places, rate = (
-        next((arrays[name] for name in names if name in arrays), None) for names in (*ANGLES, PLACES, RATES)
+        next((numbers[name] for name in names if name in numbers), None) for names in (*ANGLES, PLACES, RATES)
     )
     parts = [part for part in ((root, body) if whole is None else (whole,)) if part is not None and part.ndim > 1]
     if len(parts) < 1 + (whole is None):
