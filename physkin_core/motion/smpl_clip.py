@@ -27,13 +27,9 @@ left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbo
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 TRUNK = {"spine1": (0, 0.11, -0.02), "spine2": (0, 0.13, 0), "spine3": (0, 0.06, 0.02), "neck": (0, 0.21, -0.04)}
 TRUNK |= {"head": (0, 0.1, 0.05)}
-LIMBS = {
-    "hip": (0.07, -0.09, -0.01),
-    "knee": (0.01, -0.39, 0),
-    "ankle": (0.01, -0.41, -0.03),
-    "foot": (0.03, -0.05, 0.12),
-}
-LIMBS |= {"collar": (0.07, 0.12, -0.02), "shoulder": (0.11, 0.03, -0.01), "elbow": (0.26, 0, 0), "wrist": (0.25, 0, 0)}
+LIMBS = {"hip": (0.07, -0.09, -0.01), "knee": (0.01, -0.39, 0), "ankle": (0.01, -0.41, -0.03)}
+LIMBS |= {"foot": (0.03, -0.05, 0.12), "collar": (0.07, 0.12, -0.02), "shoulder": (0.11, 0.03, -0.01)}
+LIMBS |= {"elbow": (0.26, 0, 0), "wrist": (0.25, 0, 0)}
 """Metres from the parent in SMPL's T-pose, Y up, facing Z; of the left limb. Knees are not to the side of the way from
 hip to ankle, as what bends there would be taken for the axis of the knee."""
 ANGLES = ("poses", "pose", "fullpose"), ("root_orient", "global_orient"), ("pose_body", "body_pose")
@@ -47,8 +43,9 @@ def read_smpl_clip(path: Path) -> SourceClip:
     """Read a .npz with `poses`, axis and angle of each joint in SMPL's order (T, 66 or more), or with `root_orient` and
     `pose_body`; places `trans` (T, 3) and the rate may be missing. Raises ContentError, and what `read_npz` raises."""
     arrays = read_npz(path)
+    numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "iuf"}
     whole, root, body, places, rate = (
-        next((arrays[name] for name in names if name in arrays), None) for names in (*ANGLES, PLACES, RATES)
+        next((numbers[name] for name in names if name in numbers), None) for names in (*ANGLES, PLACES, RATES)
     )
     parts = [part for part in ((root, body) if whole is None else (whole,)) if part is not None and part.ndim > 1]
     if len(parts) < 1 + (whole is None):

@@ -179,6 +179,7 @@ def test_smpl_clips_that_stand_along_y(expected, tmp_path, caplog):
             "it has 'trans', 'mocap_framerate', 'gender', 'betas'; a clip has poses, or",
         ),
         (lambda arrays: arrays.update(poses=np.array([{}], dtype=object)), "a clip has poses, or"),
+        (lambda arrays: arrays.update(poses=np.array([["a"] * 66])), "a clip has poses, or .*, of numbers"),
         (
             lambda arrays: arrays.update(poses=np.zeros((9, 60))),
             "its rotations are .9, 60.; allowed are 66 angles or more",
