@@ -149,8 +149,8 @@ def test_long_gltf_clips_are_refused(tmp_path):
     ids=["SMPL-H", "SMPL", "by joint", "SMPL-X"],
 )
 def test_smpl_clips_need_no_body(change, expected, tmp_path, caplog):
-    """Limbs and trunk turn as those of the BVH, but for 4 degrees that the shins of SMPL's rest slant by and as many for
-    limbs whose segments have another ratio; how far the root goes depends on the length of legs."""
+    """Limbs and trunk turn as those of the BVH, but for 4 degrees that the shins of SMPL's rest slant by and as many
+    for limbs whose segments have another ratio; how far the root goes depends on the length of legs."""
     path = tmp_path / "a.npz"
     np.savez(path, **change(smpl_arrays(FRAMES, rate=60.0)))
     motion = load_motion(path)
@@ -281,7 +281,7 @@ def test_source_rate_is_of_every_clip(tmp_path):
     assert load_motion(path, source_rate_hz=30).frame_count == 61
     assert convert([str(path), str(tmp_path / "out"), "--source-rate", "30", "--world-frame", ""]) == 0
     assert load_motion(tmp_path / "out").frame_count == 61
-    with pytest.raises(MotionError, match="source_rate_hz is for clips and landmarks; .*walk has its own times"):
+    with pytest.raises(MotionError, match="source_rate_hz is for clips of .*walk has its own times"):
         load_motion("walk", source_rate_hz=30)
     with pytest.raises(MotionError, match="bones are for files of others"):
         load_motion("walk", bones=path)
