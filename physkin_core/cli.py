@@ -23,11 +23,10 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
 from physkin_core.motion.clip_files import CLIP_SUFFIXES, describe_clips
-from physkin_core.outfit.outfit_options import add_options, dressed, read_motion
+from physkin_core.outfit.outfit_options import add_options, as_asked, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.pictures.picture import PictureError, render, save_png
 from physkin_core.progress import progress_line
-from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["main"]
 
@@ -221,8 +220,7 @@ def _drape(options: argparse.Namespace) -> int:
     check_other_file(path, options.avatar)
     motion = read_motion(options)
     outfit = dressed(options)
-    if options.separate_limbs:
-        motion = separated_motion(motion, outfit.rig, outfit.avatar)
+    motion = as_asked(motion, options, outfit)
     if is_strip:
         save_png(path, draw_strip(outfit, motion, options.strip, watch=progress_line(f"drawing {path.name}")))
     else:

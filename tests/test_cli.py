@@ -41,7 +41,7 @@ def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, caps
     """The OBJ's second object is what the core gives for that frame, gravity included."""
     path = tmp_path / "out.obj"
     drape = ["drape", str(AVATAR), "--garment", str(model_path), "--motion", "walk", "--frame", "9"]
-    assert cli.main([*drape, "-o", str(path)]) == 0
+    assert cli.main([*drape, "--no-separate-limbs", "-o", str(path)]) == 0
     avatar = load_avatar(AVATAR, garment_model.rig)
     motion = load_motion("walk")
     assert motion.joint_names == garment_model.rig.joint_names
@@ -56,7 +56,7 @@ def test_drape_writes_body_and_garment(model_path, garment_model, tmp_path, caps
 def test_drape_and_bind_make_to_measure_unless_told_otherwise(fit, model_path, garment_model, tmp_path):
     """What both write is what the core gives by default, or at the fit that was asked for."""
     told = [str(AVATAR), "-g", str(model_path), *(() if fit is None else ("--fit", str(fit)))]
-    assert cli.main(["drape", *told, "-o", str(tmp_path / "out.obj")]) == 0
+    assert cli.main(["drape", *told, "--no-separate-limbs", "-o", str(tmp_path / "out.obj")]) == 0
     assert cli.main(["bind", *told, "-o", str(tmp_path / "out.physkin")]) == 0
     motion, draper = load_motion("walk"), Draper(garment_model, load_avatar(AVATAR, garment_model.rig), fit=fit)
     assert draper.fit == (1.0 if fit is None else fit)
@@ -66,10 +66,10 @@ def test_drape_and_bind_make_to_measure_unless_told_otherwise(fit, model_path, g
     assert (tmp_path / "out.physkin").read_bytes() == (tmp_path / "expected.physkin").read_bytes()
 
 
-def test_drape_separates_limbs_when_told_to(model_path, garment_model, tmp_path):
+def test_drape_separates_limbs_by_default(model_path, garment_model, tmp_path):
     """Body and garment are those of the separated positions."""
     path, arguments = tmp_path / "out.obj", ["drape", str(AVATAR), "-g", str(model_path), "--frame", "9"]
-    assert cli.main([*arguments, "--separate-limbs", "-o", str(path)]) == 0
+    assert cli.main([*arguments, "-o", str(path)]) == 0
     motion = load_motion("walk")
     draper = Draper(garment_model, load_avatar(AVATAR, garment_model.rig))
     positions, _ = LimbSeparator(garment_model.rig, draper.avatar).separate(motion.positions[9])

@@ -18,7 +18,14 @@ from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_options, add_outfit_options, dressed, print_warnings, read_motion
+from physkin_core.outfit.outfit_options import (
+    add_options,
+    add_outfit_options,
+    as_asked,
+    dressed,
+    print_warnings,
+    read_motion,
+)
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
 
@@ -34,7 +41,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
-    add_options(parser, "source-rate", "sway", "wind")
+    add_options(parser, "source-rate", "separate-limbs", "sway", "wind")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
         "--materials",
@@ -70,6 +77,7 @@ def main(argv: list[str]) -> int:
     check_other_file(options.output, options.avatar, options.motion, *options.materials)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
+    motion = as_asked(motion, options, outfit)
     body = slice(None) if kind == ".glb" else outfit.faces_to_draw  # a .glb leaves out by its own frames
     looks = [avatar_look(outfit.body_to_draw, body), *garment_looks(options.materials, outfit)]
     not_shown = WRITERS[kind](options.output, outfit, motion, looks=looks)
@@ -83,6 +91,7 @@ def _write_page(options: argparse.Namespace) -> int:
     if options.web.exists() and not options.web.is_dir():
         raise ValueError(f"cannot write {options.web}: it is a file; name a folder")
     motion, outfit = read_motion(options), dressed(options, whole=True)
+    motion = as_asked(motion, options, outfit)
     size = write_web_page(options.web, outfit, motion, garment_looks(options.materials, outfit))
     print(f"wrote {options.web}: {size / 1e6:.1f} MB; to see it: python3 -m http.server -d {options.web}")
     return 0

@@ -83,12 +83,14 @@ class Loading:
                 bound = bound.without_networks()
         if not cached:
             self._keep(key, bound)
+        limbs, no_limbs = self._limbs(key, bound) if request.limbs else (None, "")
         splats, refused = _splats(request.points, bound)
         return LoadedOutfit(
             key=key,
             bound=None if key in request.known else bound,
             cached=cached,
-            limbs=self._limbs(key, bound) if request.limbs else None,
+            limbs=limbs,
+            limbs_refused=no_limbs,
             splats=splats,
             splats_refused=refused,
             colours=avatar_colours(bound.avatar.with_accessories()) if request.colours else None,
@@ -113,13 +115,17 @@ class Loading:
             self._keep(key, avatar)
         return replace(avatar, source=request.body)
 
-    def _limbs(self, outfit: str, bound: BoundOutfit) -> BoundLimbs:
+    def _limbs(self, outfit: str, bound: BoundOutfit) -> tuple[BoundLimbs | None, str]:
+        """Limbs that can be separated, or why there are none."""
         key = "limbs", outfit
         limbs = self._kept.get(key)
         if limbs is None:
-            limbs = fit_limbs(bound.layers[0].model.rig, bound.avatar)
+            try:
+                limbs = fit_limbs(bound.layers[0].model.rig, bound.avatar)
+            except ValueError as error:
+                return None, str(error)
             self._keep(key, limbs)
-        return limbs
+        return limbs, ""
 
     def _keep(self, key: Hashable, value: object) -> None:
         self._kept.keep(key, value, array_bytes(value))

@@ -49,14 +49,15 @@ class OutfitRequest:
 @dataclass(frozen=True)
 class LoadedOutfit:
     """key: the same for the same content of files, worn alike. bound: without networks, None where the key is known.
-    cached: whether it was bound before. limbs, splats, colours: where they were asked for; splats are None, too, where
-    they cannot be used, for which `splats_refused` is the reason.
+    cached: whether it was bound before. limbs, splats, colours: where they were asked for; limbs and splats are None,
+    too, where they cannot be used, for which `limbs_refused` and `splats_refused` are the reasons.
     """
 
     key: str
     bound: BoundOutfit | None
     cached: bool
     limbs: BoundLimbs | None = None
+    limbs_refused: str = ""
     splats: SplatsOnOutfit | None = None
     splats_refused: str = ""
     colours: np.ndarray | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,11 +19,15 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.layer import WornGarment
+from physkin_core.separation.limb_separator import separated_motion
+
+log = logging.getLogger(__name__)
 
 __all__ = [
     "add_avatar_options",
     "add_options",
     "add_outfit_options",
+    "as_asked",
     "chosen_avatar",
     "chosen_garments",
     "dressed",
@@ -70,7 +75,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "F",
         "help": "1: made to measure, 0: one size, or between (default: 1; 0 with a rig other than the body model's)",
     },
-    "separate-limbs": {"action": "store_true", "help": "move arms and legs out of the trunk and out of each other"},
+    "separate-limbs": {
+        "action": argparse.BooleanOptionalAction,
+        "help": "whether arms and legs that a motion puts into the trunk or into each other are moved out (default: "
+        "{apart})",
+    },
     "sway": {
         "type": float,
         "default": 1.0,
@@ -88,11 +97,16 @@ OPTIONS: dict[str, dict[str, Any]] = {
 """Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
 
 
-def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:
-    """Add some of `OPTIONS`. worn: what help says is worn where no garment is named."""
+def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT, separate_limbs: bool = True) -> None:
+    """Add some of `OPTIONS`. worn: what help says is worn where no garment is named. separate_limbs: the default of
+    that option."""
+    apart = "yes" if separate_limbs else "no"
     for name in names:
         flags = ("-g", "--garment") if name == "garment" else (f"--{name}",)
-        parser.add_argument(*flags, **OPTIONS[name] | {"help": OPTIONS[name]["help"].replace("{worn}", worn)})
+        said = OPTIONS[name]["help"].replace("{worn}", worn).replace("{apart}", apart)
+        parser.add_argument(*flags, **OPTIONS[name] | {"help": said})
+    if "separate-limbs" in names:
+        parser.set_defaults(separate_limbs=separate_limbs)
 
 
 def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
@@ -172,6 +186,16 @@ def motion_settings(options: argparse.Namespace) -> dict[str, Any]:
     """What `load_motion` is told of a command's motion."""
     is_ours = options.motion in bundled_motions() or options.motion.endswith(".safetensors")
     return {"bones": None if is_ours else options.bones, "source_rate_hz": options.source_rate}
+
+
+def as_asked(motion: Motion, options: argparse.Namespace, outfit: Outfit) -> Motion:
+    """The motion with its limbs separated, where `--separate-limbs` is so and the avatar has limbs that can be."""
+    if options.separate_limbs:
+        try:
+            return separated_motion(motion, outfit.rig, outfit.avatar)
+        except ValueError as error:
+            log.info("limbs are not separated: %s", error)
+    return motion
 
 
 def read_motion(options: argparse.Namespace) -> Motion:

@@ -6,11 +6,10 @@ import argparse
 import math
 from pathlib import Path
 
-from physkin_core.outfit.outfit_options import add_options, add_outfit_options, dressed, read_motion
+from physkin_core.outfit.outfit_options import add_options, add_outfit_options, as_asked, dressed, read_motion
 from physkin_core.progress import progress_line
 from physkin_core.render.film_files import FILM_KINDS, check_film, write_film
 from physkin_core.render.filming import Camera, film
-from physkin_core.separation.limb_separator import separated_motion
 
 __all__ = ["command_parser", "main"]
 
@@ -32,8 +31,7 @@ def main(argv: list[str]) -> int:
         motion = motion.resampled(USUAL_RATE)
     check_film(options.output, size=camera.size, rate_hz=motion.rate_hz)
     outfit = dressed(options)
-    if options.separate_limbs:
-        motion = separated_motion(motion, outfit.rig, outfit.avatar)
+    motion = as_asked(motion, options, outfit)
     pictures = film(outfit, motion, camera, watch=progress_line(f"drawing {motion.frame_count} frames"))
     files = write_film(options.output, pictures, motion.rate_hz)
     written = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"

@@ -103,6 +103,8 @@ class OutfitLoader:
             points=first.splats,
         )
         outfit, loaded = self._loader.outfit(request, precision=avatar.precision or None)
+        if loaded.limbs_refused:
+            raise ValueError(loaded.limbs_refused)
         if loaded.splats_refused:
             raise ValueError(f"parameter {first.prefix}splats: {loaded.splats_refused}")
         return LoadedWear(outfit, loaded.cached, perf_counter() - started, loaded.limbs, loaded.splats)

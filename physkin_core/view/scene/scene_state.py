@@ -119,7 +119,7 @@ class SceneState:
         self._chosen_colours: dict[str, Colour] = {}
         self.garments: tuple[str, ...] = ()
         self.tucked: frozenset[str] = frozenset()
-        self.body, self.rig_file, self.separate_limbs = Path(body), rig_file, False
+        self.body, self.rig_file, self.separate_limbs = Path(body), rig_file, True
         self.outfit: Outfit | None = None
         self.wear(garments, tucked=tucked)
         if motion is not None:
@@ -178,7 +178,8 @@ class SceneState:
             self.body, self.rig_file, self.separate_limbs = body, rig_file, separate_limbs
             self.rig, self._player, self.outfit = rig, player, outfit
             self._splats, self._separator, self._own_colours = splats, separator, loaded.colours
-            self.warnings = outfit.warnings + (() if separator is None else separator.warnings)
+            refused = (loaded.limbs_refused,) if loaded.limbs_refused else ()
+            self.warnings = outfit.warnings + (refused if separator is None else separator.warnings)
             self.pose = standing_pose(positions, avatar) if player is None else player.pose(self.seconds)
             self._cloth = tuple(np.zeros((layer.vertex_count, 6), dtype=np.float32) for layer in outfit.layers)
             self._times: deque[float] = deque(maxlen=TIMED_FRAMES)

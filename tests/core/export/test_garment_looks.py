@@ -37,7 +37,7 @@ def export(shirt, tmp_path_factory):
     save_garment_model(shirt, model)
 
     def run(path, *options):
-        garment = ["export", "walk", "-g", str(model), "--rate", f"{RATE:g}"]
+        garment = ["export", "walk", "-g", str(model), "--no-separate-limbs", "--rate", f"{RATE:g}"]
         return main([*garment, *map(str, options), "-o", str(path)])
 
     return run

@@ -32,7 +32,10 @@ from physkin_core.view.scene.scene_state import SceneState
 @pytest.fixture(scope="module")
 def shared(asset_loader):
     """One T-shirt, for tests that set all that they need."""
-    return SceneState(asset_loader, ["tshirt"])
+    shared = SceneState(asset_loader, ["tshirt"])
+    assert shared.separate_limbs
+    shared.wear(separate_limbs=False)
+    return shared
 
 
 @pytest.fixture
