@@ -66,6 +66,10 @@ def _with_limb_ends(mesh: SkinnedMesh, named: Mapping[str, int]) -> tuple[Skinne
         joint_parents=np.concatenate([mesh.joint_parents, parents]),
         joint_heads=np.concatenate([mesh.joint_heads, heads]),
         joint_tails=np.concatenate([mesh.joint_tails, np.full((len(heads), 3), np.nan)]),
+        joint_nodes=None if mesh.joint_nodes is None else np.append(mesh.joint_nodes, [-1] * len(heads)),
+        joint_frames=None
+        if mesh.joint_frames is None
+        else mesh.joint_frames[[*range(len(mesh.joint_heads)), *parents]],
     )
     return added, {bone: len(mesh.joint_names) + k for k, bone in enumerate(ends)}
 

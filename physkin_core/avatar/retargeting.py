@@ -38,7 +38,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     """
     mesh, skeleton = identify_bones(mesh, rig)
     bone_joint = skeleton.joints
-    mesh = turn_upright(mesh, bone_joint)
+    mesh = turn_upright(mesh, bone_joint, rig)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
     scale = _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
@@ -47,6 +47,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     mesh = parts.body
     root_joint = bone_joint.get(rig.bone_names[0]) if skeleton.own_names else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
+    of_file = _file_joints(mesh, bone_joint, rig, root)
     closed = whole if parts.clothes else mesh  # skin may be hands and face alone
     outward = slice(None, None, _orientation(closed.vertices, closed.faces))
 
@@ -64,6 +65,7 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
             bone_names=rig.bone_names,
             file_vertices=part.file_vertices,
             file_corners=None if part.file_corners is None else part.file_corners[:, outward],
+            **of_file,
         )
 
     clothes = tuple(map(bound, parts.clothes))
@@ -176,8 +178,27 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
         mesh,
         vertices=linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
         joint_heads=posed,
+        joint_frames=None if mesh.joint_frames is None else _as_4x4(transforms) @ mesh.joint_frames,
         joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
     )
+
+
+def _as_4x4(transforms: np.ndarray) -> np.ndarray:
+    """(j, 4, 4) of (j, 3, 4)."""
+    return np.concatenate([transforms, np.tile([0.0, 0.0, 0.0, 1.0], (len(transforms), 1, 1))], axis=1)
+
+
+def _file_joints(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, root: np.ndarray) -> dict:
+    """What `Avatar` keeps of the file's joints; nothing where the file has none."""
+    if mesh.joint_nodes is None:
+        return {}
+    nodes, frames = np.full(rig.bone_count, -1), np.full((rig.bone_count, 4, 4), np.nan)
+    for bone, joint in bone_joint.items():
+        if mesh.joint_nodes[joint] >= 0:
+            index = rig.bone_index(bone)
+            nodes[index], frames[index] = mesh.joint_nodes[joint], mesh.joint_frames[joint]
+    frames[:, :3, 3] -= root
+    return {"file_joints": nodes, "file_joint_frames": frames}
 
 
 def _joint_bones(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> np.ndarray:

@@ -400,7 +400,7 @@ def _clavicle(tree: _Tree, side: str, arm: int, chest: int) -> dict[str, int]:
     between = [joint for joint in ancestors(tree.parents, arm)[1:] if joint != chest and tree.below[joint, chest]]
     cost = tree.name_cost("clavicle", side)
     named = [joint for joint in between if cost[joint] < VAGUE]
-    placed = [j for j in between[:1] if cost[j] < CONTRADICTED and tree.along[arm] - tree.along[j] > CLAVICLE]
+    placed = [j for j in between[-1:] if cost[j] < CONTRADICTED and tree.along[arm] - tree.along[j] > CLAVICLE]
     return {f"clavicle.{side}": joint for joint in (named or placed)[:1]}
 
 

@@ -1,0 +1,323 @@
+"""The skeleton of the figure in a glTF file: its skins, its joints, and the pose that its body is taken in.
+
+How a mesh was bound stands in the inverse bind matrices of its skin. The transforms of nodes only say how the figure
+is held when the file is opened: midway through a kick, or turned to look at the door. So the body is taken from the
+bind pose, that of the skin with the most vertices; other skins come there by their own inverse bind matrices, and
+joints of no skin follow their parents.
+
+Dimensions: `g` nodes, `k` joints of a skin. glTF's frame and the file's unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from physkin_core.avatar.skinned_mesh import check_bone_count
+from physkin_core.file_reading import ContentError, listed, shown
+from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
+from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
+from physkin_core.rig.rig import Rig, ancestors
+
+__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton", "named_joints"]
+
+SAME_POSE = 1e-3
+"""Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
+UNLIKE_LENGTHS = 1.5
+"""Poses turn bones and leave their lengths: inverse bind matrices by which the length of a limb segment differs by this
+factor from that between nodes, the median of all being one, are not those of a pose."""
+STANDS = 0.5
+"""Least cosine between the way from hips to feet and that from shoulders to hips of somebody who stands."""
+AS_LARGE = 0.9
+"""Of several figures the first is taken that has this share of the largest one's extent."""
+COPY, NEAR = 0.02, 0.25
+"""Shares of a figure's extent: how far the joints of its copy lie from its own at most, and how far from a joint of it
+something that hangs on joints of its own begins, to be part of it."""
+
+
+@dataclass(frozen=True)
+class GltfSkin:
+    """joints: (k,) nodes. inverse_binds, binds: (k, 4, 4), from mesh space to each joint and back; NaN where the file
+    has none that can be inverted. given: whether it has any."""
+
+    joints: list[int]
+    inverse_binds: np.ndarray
+    binds: np.ndarray
+    given: bool
+
+    @cached_property
+    def place(self) -> dict[int, int]:
+        """Its place in the skin, by node, of each joint whose bind is known."""
+        known = np.isfinite(self.binds).all(axis=(1, 2))
+        return {joint: k for k, joint in enumerate(self.joints) if known[k]}
+
+    def transforms(self, file: GltfFile, worlds: np.ndarray) -> np.ndarray:
+        """(k, 3, 4) from mesh space to the scene where nodes are at worlds (g, 4, 4). A joint whose bind is not known
+        moves as the nearest one above whose bind is, or else as the first."""
+        found, place = (worlds[self.joints] @ self.inverse_binds)[:, :3], self.place
+        for k in np.flatnonzero(~np.isfinite(found).all(axis=(1, 2))):
+            above = (place[each] for each in ancestors(file.node_parents, self.joints[k]) if each in place)
+            found[k] = found[next(above, next(iter(place.values())))]
+        return found
+
+
+@dataclass(frozen=True)
+class GltfSkeleton:
+    """nodes: of its joints, parents first. joint: index among these, by node; nodes of others that move with it have
+    one, too. worlds: (g, 4, 4) from node to scene, in the pose that the body is taken in. skins: of the figure and of
+    what moves with it, by number. warnings: what was assumed or left out."""
+
+    nodes: list[int]
+    joint: dict[int, int]
+    worlds: np.ndarray
+    skins: dict[int, GltfSkin]
+    warnings: tuple[str, ...] = ()
+
+
+def named_joints(file: GltfFile, skin: int) -> list[int]:
+    """Nodes that are the joints of a skin. Raises ContentError."""
+    entry = file.document.item("skins", skin)
+    nodes = entry.indices("joints")
+    if not nodes or max(nodes) >= len(file.nodes):
+        raise ContentError(f"joints of {entry.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
+    return nodes
+
+
+def find_skeleton(
+    file: GltfFile, vertex_counts: Mapping[int, int], rig: Rig, humanoid: Mapping[str, int] | None
+) -> GltfSkeleton:
+    """The skeleton of the figure that is worn: of several people the largest, or the first of about that size.
+
+    vertex_counts: by skin of the file, 0 for those that draw nothing. humanoid: node by VRM humanoid bone; a VRM is
+    taken as its nodes stand, in T-pose. Raises ContentError.
+    """
+    check_bone_count(len({joint for number in vertex_counts for joint in named_joints(file, number)}))
+    skins = {number: _skin(file, number, vertex_counts[number] > 0) for number in vertex_counts}
+    figures = [_Figure(file, skins, group, vertex_counts, rig, humanoid) for group in _groups(file, skins)]
+    most = max(figure.vertex_count for figure in figures)
+    people = [figure for figure in figures if not figure.human.missing and (figure.vertex_count or not most)]
+    people = people or [figure for figure in figures if figure.vertex_count == most]
+    largest = max(figure.extent for figure in people)
+    chosen = next(figure for figure in people if figure.extent >= AS_LARGE * largest)
+    joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
+    worn, left_out = dict(chosen.skins), []
+    for other in figures:
+        if other is chosen or not other.vertex_count:
+            continue
+        apart = np.linalg.norm(other.heads[:, None] - chosen.heads, axis=2)
+        nearest = apart.argmin(axis=1)
+        if other.human.missing:
+            first = next(k for k, node in enumerate(other.nodes) if node in other.joints)
+            moves_along, nearest[:] = apart[first].min() < NEAR * chosen.extent, nearest[first]
+        else:
+            moves_along = chosen.is_copied_by(other)
+        if not moves_along:
+            left_out.append(other)
+            continue
+        worn |= other.skins
+        added = [node for node in other.nodes if node not in joint]
+        joint = {node: int(k) for node, k in zip(other.nodes, nearest)} | joint
+        worlds[added] = other.worlds[added]
+    warnings = ()
+    if left_out:
+        names = [_called(file, other.skins) for other in left_out]
+        taken = f"{_called(file, chosen.skins)} is taken, the largest person or the first of that size"
+        warnings = (f"{len(left_out) + 1} figures are in the file: {taken}; left out: {', '.join(names)}",)
+    return GltfSkeleton(chosen.nodes, joint, worlds, worn, warnings)
+
+
+class _Figure:
+    """What hangs together: skins that share joints, or whose joints hang on each other's.
+
+    nodes: joints and all above them, parents first. worlds: (g, 4, 4) in the pose that is taken. human: what was
+    recognised. heads: of the nodes. extent: of these.
+    """
+
+    def __init__(
+        self,
+        file: GltfFile,
+        skins: Mapping[int, GltfSkin],
+        group: Collection[int],
+        vertex_counts: Mapping[int, int],
+        rig: Rig,
+        humanoid: Mapping[str, int] | None,
+    ) -> None:
+        largest_first = sorted(group, key=lambda number: -vertex_counts[number])
+        self.skins = {number: skins[number] for number in largest_first}
+        self.vertex_count = sum(vertex_counts[number] for number in group)
+        self.joints = {joint for skin in self.skins.values() for joint in skin.joints}
+        inside = set()
+        for joint in (*(humanoid or {}).values(), *self.joints):
+            inside.update(ancestors(file.node_parents, joint))
+        check_bone_count(len(inside))
+        self.nodes = [node for node in file.node_order if node in inside]
+        place = {node: k for k, node in enumerate(self.nodes)}
+        self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
+        self._parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
+        self._rig = rig
+        self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
+        self.worlds = file.node_worlds
+        self.human = self._recognised(self.worlds)
+        bound = [skin for skin in self.skins.values() if skin.given]
+        if humanoid is None and bound:
+            self._take_bind_pose(_bind_worlds(file, bound))
+        self.heads = self.worlds[self.nodes][:, :3, 3]
+        self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
+
+    def is_copied_by(self, other: _Figure) -> bool:
+        """Whether another person's joints lie where this one's do, as those of clothes that bring the skeleton."""
+        shared = self.human.joints.keys() & other.human.joints.keys()
+        gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
+        return bool(np.linalg.norm(gaps, axis=1).max() < COPY * self.extent)
+
+    def _take_bind_pose(self, worlds: np.ndarray) -> None:
+        """Take the body from the bind pose, unless it is none, or the figure stands as its nodes are and not there."""
+        heads, shown_heads = worlds[self.nodes][:, :3, 3], self.worlds[self.nodes][:, :3, 3]
+        if not np.isfinite(heads).all():
+            return
+        extent = np.ptp(shown_heads, axis=0).max()
+        if np.abs(heads - shown_heads).max() > SAME_POSE * extent:
+            human = self._recognised(worlds)
+            if not self.human.missing and (
+                human.missing
+                or not _same_lengths(human, heads, shown_heads)
+                or (_stands(self.human, shown_heads) and not _stands(human, heads))
+            ):
+                return
+            self.human = human
+        self.worlds = worlds
+
+    def _recognised(self, worlds: np.ndarray) -> HumanSkeleton:
+        heads = worlds[self.nodes][:, :3, 3]
+        finite = np.nan_to_num(heads)  # whoever takes a joint that is not finite says so
+        return find_human_skeleton(self._names, self._parents, finite, self._rig, humanoid=self._humanoid)
+
+
+def _same_lengths(human: HumanSkeleton, heads: np.ndarray, shown_heads: np.ndarray) -> bool:
+    """Whether the limb segments of two poses, joints at (n, 3), have the same lengths but for a factor."""
+    ends = [
+        [human.joints[end] for end in segment]
+        for segment in LIMB_SEGMENTS.values()
+        if human.joints.keys() >= set(segment)
+    ]
+    if not ends:
+        return True
+    ends = np.array(ends)
+    lengths = [np.linalg.norm(at[ends[:, 1]] - at[ends[:, 0]], axis=1) for at in (heads, shown_heads)]
+    if min(map(np.min, lengths)) <= 0:
+        return False
+    ratio = np.log(lengths[0] / lengths[1])
+    return bool(np.abs(ratio - np.median(ratio)).max() < np.log(UNLIKE_LENGTHS))
+
+
+def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
+    """Whether both legs lead on from the trunk, joints at (n, 3); of a skeleton without these, too."""
+    bones = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01", "foot") for side in "LR"]
+    if any(bone not in human.joints for bone in bones):
+        return True
+    left_arm, right_arm, left_hip, right_hip, left_foot, right_foot = (heads[human.joints[bone]] for bone in bones)
+    trunk = left_hip + right_hip - left_arm - right_arm
+    legs = np.stack([left_foot - left_hip, right_foot - right_hip])
+    return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=1) * np.linalg.norm(trunk)).all())
+
+
+def _skin(file: GltfFile, number: int, draws: bool) -> GltfSkin:
+    joints, matrices = named_joints(file, number), file.document.item("skins", number).index("inverseBindMatrices")
+    if matrices is None or not draws:
+        unmoved = np.tile(np.eye(4), (len(joints), 1, 1))
+        return GltfSkin(joints, unmoved, unmoved, given=False)
+    stored = file.accessor(matrices)
+    inverse = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).copy() if stored.shape[1] == 16 else stored
+    binds = np.full(inverse.shape, np.nan)
+    if stored.shape[1] == 16:
+        known = np.isfinite(inverse).all(axis=(1, 2))
+        known[known] = np.abs(np.linalg.det(inverse[known])) > np.finfo(float).tiny
+        inverse[~known] = np.nan
+        binds[known] = np.linalg.inv(inverse[known])
+    if len(stored) < len(joints) or not np.isfinite(binds).any():
+        raise ContentError(
+            f"skin {number} has {len(joints)} joints and {len(stored)} inverse bind matrices of {stored.shape[1]} "
+            "numbers; each joint needs a finite one of 16"
+        )
+    return GltfSkin(joints, inverse, binds, given=True)
+
+
+def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[list[int]]:
+    """Numbers of skins that share joints, or whose joints hang on each other's; the first skin's first."""
+    group, owner = {number: number for number in skins}, {}
+
+    def join(one: int, other: int) -> None:
+        first, second = sorted((group[one], group[other]))
+        group.update({number: first for number, each in group.items() if each == second})
+
+    for number, skin in skins.items():
+        for joint in skin.joints:
+            join(number, owner.setdefault(joint, number))
+    for joint, number in owner.items():
+        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), None)
+        if above is not None and group[owner[above]] != group[number]:
+            join(number, owner[above])
+    return [[number for number in skins if group[number] == each] for each in dict.fromkeys(group.values())]
+
+
+def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
+    """(g, 4, 4) from node to scene where the skins' joints are as they were bound, those of the first skin as it says.
+    The scene's axes are mesh space's, turned by quarters towards what the file shows."""
+    worlds, parents = np.full((len(file.nodes), 4, 4), np.nan), file.node_parents
+    known = np.zeros(len(worlds), dtype=bool)
+    to_scene = _to_scene(file, skins[0])
+
+    def set_world(node: int, world: np.ndarray) -> None:
+        worlds[node], known[node] = world, True
+
+    def follow(node: int) -> None:
+        if node in skins[0].place:
+            set_world(node, to_scene @ skins[0].binds[skins[0].place[node]])
+            return
+        for skin in skins[1:]:
+            if node in skin.place:
+                above = ancestors(parents, node)[1:]
+                anchor = next((each for each in above if known[each] and each in skin.place), None)
+                if anchor is not None:
+                    relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
+                    set_world(node, worlds[anchor] @ relative)
+                    return
+        if parents[node] >= 0 and known[parents[node]]:
+            set_world(node, worlds[parents[node]] @ file.node_locals[node])
+
+    for node in file.node_order:
+        follow(node)
+    below: dict[int, list[np.ndarray]] = {}
+    for node in reversed(file.node_order):
+        if node in below and not known[node]:  # as most children have it: one of them may be turned
+            set_world(node, min(below[node], key=lambda one: sum(np.abs(one - other).sum() for other in below[node])))
+        if known[node] and parents[node] >= 0 and not known[parents[node]]:
+            below.setdefault(int(parents[node]), []).append(worlds[node] @ np.linalg.pinv(file.node_locals[node]))
+    for node in file.node_order:
+        if not known[node]:
+            follow(node)
+    worlds[~known] = file.node_worlds[~known]
+    return worlds
+
+
+def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:
+    """(4, 4) from mesh space to the scene, as the skin's first joint moves it but turned by quarters only."""
+    rank = {node: k for k, node in enumerate(file.node_order)}
+    root = min(skin.place, key=rank.__getitem__)
+    found = file.node_worlds[root] @ skin.inverse_binds[skin.place[root]]
+    u, stretch, vt = np.linalg.svd(found[:3, :3])
+    turn = nearest_quarter_turn(u @ vt)
+    bound = skin.binds[skin.place[root]][:3, 3]
+    found[:3, :3] = turn @ (vt.T * stretch) @ vt
+    found[:3, 3] = file.node_worlds[root][:3, 3] - found[:3, :3] @ bound
+    return found
+
+
+def _called(file: GltfFile, skins: Collection[int]) -> str:
+    """Nodes whose meshes hang on skins, by name."""
+    nodes = [k for k, node in enumerate(file.nodes) if node.index("skin") in skins and "mesh" in node]
+    return listed([file.nodes[node].text("name") or f"node {node}" for node in nodes])
