@@ -10,9 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physkin_core.avatar.skinned_mesh import clean_surface
 from physkin_core.file_reading import listed
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn
+from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.quality import closest_points
 
 __all__ = ["coarse_copies"]
@@ -21,6 +23,8 @@ LEVEL = re.compile(r"lod[ _.-]?(\d+)", re.IGNORECASE)
 SAME_BOX, SAME_SURFACE = 0.02, 0.004
 """Shares of the extent: by how much the boxes about two meshes differ, and how far the vertices of the coarser one lie
 from the finer one on average, where both are one surface."""
+PIECES = 0.5
+"""Share of edges that one face alone has, from which on meshes may be pieces that fill each other up."""
 
 
 def coarse_copies(file: GltfFile, drawn: Sequence[Drawn]) -> tuple[set[int], list[str]]:
@@ -74,4 +78,12 @@ def _repeats(surface: tuple[np.ndarray, np.ndarray], finer: tuple[np.ndarray, np
     if not np.abs(boxes[0] - boxes[1]).max() < SAME_BOX * extent:
         return False
     there, back = closest_points(surface[0], *finer)[0], closest_points(finer[0], *surface)[0]
-    return bool(max(there.mean(), back.mean()) < SAME_SURFACE * extent)
+    if max(there.mean(), back.mean()) > SAME_SURFACE * extent:
+        return False
+    return max(map(_open_share, (surface, finer))) < PIECES
+
+
+def _open_share(surface: tuple[np.ndarray, np.ndarray]) -> float:
+    """Share of the edges that one face alone has."""
+    _, faces, _, _ = clean_surface(*surface, (), "")
+    return float((mesh_edges(faces)[1] == 1).mean())

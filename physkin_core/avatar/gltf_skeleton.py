@@ -108,19 +108,13 @@ def find_skeleton(
     for other in figures:
         if other is chosen or not other.vertex_count:
             continue
-        apart = np.linalg.norm(other.heads[:, None] - chosen.heads, axis=2)
-        nearest = apart.argmin(axis=1)
-        if other.human.missing:
-            first = next(k for k, node in enumerate(other.nodes) if node in other.joints)
-            moves_along, nearest[:] = apart[first].min() < NEAR * chosen.extent, nearest[first]
-        else:
-            moves_along = chosen.is_copied_by(other)
-        if not moves_along:
+        carriers = chosen.carriers_of(other)
+        if carriers is None:
             left_out.append(other)
             continue
         worn |= other.skins
         added = [node for node in other.nodes if node not in joint]
-        joint = {node: int(k) for node, k in zip(other.nodes, nearest)} | joint
+        joint = {node: int(k) for node, k in zip(other.nodes, carriers)} | joint
         worlds[added] = other.worlds[added]
     warnings = ()
     if left_out:
@@ -133,8 +127,8 @@ def find_skeleton(
 class _Figure:
     """What hangs together: skins that share joints, or whose joints hang on each other's.
 
-    nodes: joints and all above them, parents first. worlds: (g, 4, 4) in the pose that is taken. human: what was
-    recognised. heads: of the nodes. extent: of these.
+    nodes: joints and all above them, parents first. parents: of these, -1 for none. worlds: (g, 4, 4) in the pose that
+    is taken. human: what was recognised. heads: of the nodes. extent: of these.
     """
 
     def __init__(
@@ -157,7 +151,7 @@ class _Figure:
         self.nodes = [node for node in file.node_order if node in inside]
         place = {node: k for k, node in enumerate(self.nodes)}
         self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
-        self._parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
+        self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
         self._rig = rig
         self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
         self.worlds = file.node_worlds
@@ -168,7 +162,23 @@ class _Figure:
         self.heads = self.worlds[self.nodes][:, :3, 3]
         self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
 
-    def is_copied_by(self, other: _Figure) -> bool:
+    def carriers_of(self, other: _Figure) -> np.ndarray | None:
+        """Which of this figure's joints each of another's (n,) moves with; None where it is a figure of its own or far.
+
+        A chain, as of hair, moves with the joint at which it begins.
+        """
+        from scipy.spatial import cKDTree
+
+        apart, nearest = cKDTree(self.heads).query(other.heads)
+        if not other.human.missing:
+            return nearest if self._is_copied_by(other) else None
+        joints = np.isin(other.nodes, list(other.joints))
+        begins = joints & ~((other.parents >= 0) & joints[other.parents])
+        for k in np.flatnonzero(joints & ~begins):
+            nearest[k] = nearest[other.parents[k]]
+        return nearest if np.median(apart[begins]) < NEAR * self.extent else None
+
+    def _is_copied_by(self, other: _Figure) -> bool:
         """Whether another person's joints lie where this one's do, as those of clothes that bring the skeleton."""
         shared = self.human.joints.keys() & other.human.joints.keys()
         gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
@@ -194,7 +204,7 @@ class _Figure:
     def _recognised(self, worlds: np.ndarray) -> HumanSkeleton:
         heads = worlds[self.nodes][:, :3, 3]
         finite = np.nan_to_num(heads)  # whoever takes a joint that is not finite says so
-        return find_human_skeleton(self._names, self._parents, finite, self._rig, humanoid=self._humanoid)
+        return find_human_skeleton(self._names, self.parents, finite, self._rig, humanoid=self._humanoid)
 
 
 def _same_lengths(human: HumanSkeleton, heads: np.ndarray, shown_heads: np.ndarray) -> bool:

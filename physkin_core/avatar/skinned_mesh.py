@@ -31,8 +31,9 @@ HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
-MOST_HEADING, MOST_TILT = 3.0, 12.0
-"""[degrees] How far asymmetry turns a skeleton's heading, and how far people lean from feet to shoulders."""
+MOST_HEADING, MOST_LEAN = 3.0, 0.07
+"""How far asymmetry turns a skeleton's heading [degrees], and how far trunk and legs both lean one way [radians] by
+their shape; a stoop is the trunk's alone."""
 
 MOST_INFLUENCES = 16
 """Of a vertex."""
@@ -172,13 +173,13 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
     if not np.array_equal(turn, np.eye(3)):
         facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
         warnings += (f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned",)
-    own = _standing_axes({bone: turn @ at for bone, at in heads.items()})
-    usual = _standing_axes(dict(zip(rig.bone_names, rig.heads)))
-    heading = np.degrees(np.arctan2(-own[0, 1], own[1, 1]))
-    tilt = np.degrees(np.arccos(np.clip(own[:, 2] @ usual[:, 2], -1, 1)))
-    if tilt > MOST_TILT:
-        turn = usual @ own.T @ turn
-        warnings += (f"the skeleton is tilted by {tilt:.0f} degrees: turned upright",)
+    own, usual = _standing_axes({bone: turn @ at for bone, at in heads.items()}), _standing_axes(_heads_of(rig))
+    heading = np.degrees(np.arctan2(-own[0][0, 1], own[0][1, 1]))
+    leans = [one[:, 2] - other[:, 2] for one, other in zip(own[1:], usual[1:])]
+    least = min(map(np.linalg.norm, leans))
+    if least > MOST_LEAN and leans[0] @ leans[1] > 0:
+        turn = usual[0] @ own[0].T @ turn
+        warnings += (f"the skeleton is tilted by {np.degrees(least):.0f} degrees: turned upright",)
     elif abs(heading) > MOST_HEADING:
         turn = Rotation.from_euler("z", -heading, degrees=True).as_matrix() @ turn
         warnings += (f"the skeleton is turned by {heading:.0f} degrees about the upright axis: turned back",)
@@ -196,13 +197,19 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
     )
 
 
-def _standing_axes(heads: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(3, 3) columns forward, left and up of somebody who stands, by joints (3,): up from between the feet to between
-    the shoulders, so that a stoop is no tilt; left across shoulders and hips."""
-    shoulders, hips = ([heads[f"{bone}.{side}"] for side in "LR"] for bone in ("upperarm01", "upperleg01"))
-    feet = [heads.get(f"foot.{side}", hip) for side, hip in zip("LR", hips)]
-    left, up = shoulders[0] - shoulders[1] + hips[0] - hips[1], shoulders[0] + shoulders[1] - feet[0] - feet[1]
-    return _axes(left, up - left * (left @ up) / (left @ left))
+def _heads_of(rig: Rig) -> dict[str, np.ndarray]:
+    return dict(zip(rig.bone_names, rig.heads))
+
+
+def _standing_axes(heads: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Of somebody whose joints are at (3,): columns forward, left and up (3, 3), where up is from between the feet to
+    between the shoulders; and the same with the way up of the trunk, and of the legs."""
+    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in ("upperarm01", "upperleg01"))
+    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
+    bones = "upperarm01", "upperleg01"
+    left = sum(heads[f"{bone}.L"] - heads[f"{bone}.R"] for bone in bones)
+    ways_up = shoulders - feet, shoulders - hips, hips - feet
+    return [_axes(left, up - left * (left @ up) / (left @ left)) for up in ways_up]
 
 
 def _axes(left: np.ndarray, up: np.ndarray) -> np.ndarray:
