@@ -25,13 +25,24 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig
 
-__all__ = ["BodyParts", "free_bones", "kind_of_part", "split_body", "without_accessories"]
+__all__ = [
+    "APPENDAGE",
+    "BODY",
+    "UNKNOWN",
+    "BodyParts",
+    "free_bones",
+    "kind_of_part",
+    "split_body",
+    "without_accessories",
+]
 
 BODY, UNKNOWN, CLOTHES, ACCESSORY = range(4)
+APPENDAGE = "appendage"
+"""A word in the names of parts that no human has."""
 WORDS = {
     ACCESSORY: "hair bang ponytail eye eyebrow eyelash iris pupil cornea lash brow teeth tooth tongue gum mouth beard "
     "moustache mustache glass glasses eyewear goggle hat cap helmet headwear horn tail wing weapon sword bag backpack "
-    "jewel earring necklace ring helper",
+    f"jewel earring necklace ring helper {APPENDAGE}",
     CLOTHES: "cloth clothing outfit top bottom shirt tshirt blouse sweater hoodie jacket coat vest suit dress skirt "
     "pant trouser jean short legging sock stocking shoe boot sneaker footwear sandal glove scarf tie belt underwear "
     "bra uniform kimono robe onepiece",

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from physkin_core.avatar.appendages import with_appendages_apart
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import split_body
@@ -43,10 +44,12 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
     check_size(mesh.vertices, mesh.source)
     scale = _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
     joint_bones = _joint_bones(mesh, bone_joint, rig)
-    whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
-    mesh = parts.body
     root_joint = bone_joint.get(rig.bone_names[0]) if skeleton.own_names else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
+    placed = {"heads": heads, "tails": tails, "scale": scale}
+    mesh = with_appendages_apart(mesh, bone_joint, joint_bones, rig, **placed)
+    whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
+    mesh = parts.body
     of_file = _file_joints(mesh, bone_joint, rig, root)
     closed = whole if parts.clothes else mesh  # skin may be hands and face alone
     outward = slice(None, None, _orientation(closed.vertices, closed.faces))
