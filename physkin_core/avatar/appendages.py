@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.body_parts import APPENDAGE, BODY, UNKNOWN, kind_of_part
+from physkin_core.avatar.body_parts import APPENDAGE, BODY, CLOTHES, UNKNOWN, kind_of_part
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
 from physkin_core.rig.rig import Rig, ancestors
 
@@ -73,7 +73,8 @@ def with_appendages_apart(
         return mesh
     for joint in np.unique(faces[faces >= 0]):
         parts = np.where(faces == joint, len(names), parts)
-        names.append((mesh.joint_names[joint], APPENDAGE))
+        own = (mesh.joint_names[joint], APPENDAGE)  # a joint of a skirt says so; one of hair may just say head
+        names.append(own if kind_of_part(own[:1]) == CLOTHES else own[::-1])
     kept, parts = np.unique(parts, return_inverse=True)
     return replace(
         mesh,
