@@ -15,7 +15,7 @@ import numpy as np
 from physkin_core.avatar.appendages import with_appendages_apart
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.body_parts import split_body
+from physkin_core.avatar.body_parts import bare_parts, split_body
 from physkin_core.avatar.joint_identification import identify_bones
 from physkin_core.avatar.skin_beneath import with_skin_beneath
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
@@ -72,8 +72,12 @@ def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
         )
 
     clothes = tuple(map(bound, parts.clothes))
+    skin = with_skin_beneath(bound(mesh), clothes)
+    bare = bare_parts(skin, rig)
+    said = (f"the body has no skin on {', '.join(bare)}: clothes there have nothing to lie on",) if bare else ()
     return replace(
-        with_skin_beneath(bound(mesh), clothes),
+        skin,
+        warnings=(*skin.warnings, *said),
         accessories=None if parts.accessories is None else bound(parts.accessories),
         clothes=clothes,
     )

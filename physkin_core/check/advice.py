@@ -21,7 +21,7 @@ MUCH_OVERLAP = 5.0
 class OutfitCheck:
     """What was found. garments: by name. hole_percent: of `hole_percent`. overlap_percent: of `body_overlap`.
     measured: whether all garments are made to measure. limbs_apart: whether limbs were separated. undressed: whether
-    clothes that the avatar wears already are not shown."""
+    clothes that the avatar wears already are not shown. bare: as of `bare_parts`."""
 
     garments: Mapping[str, GarmentCheck]
     known: Likeness
@@ -30,6 +30,7 @@ class OutfitCheck:
     measured: bool = True
     limbs_apart: bool = False
     undressed: bool = False
+    bare: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -44,6 +45,8 @@ def reason_and_advice(found: OutfitCheck) -> tuple[str, str]:
     if found.verdict == "good":
         return "", "Wear it."
     name, worst = max(found.garments.items(), key=lambda item: VERDICTS.index(item[1].verdict))
+    if found.bare:
+        return f"The body has no skin on {', '.join(found.bare)}.", "Wear what does not cover that."
     if found.hole_percent >= HOLE_PERCENT:
         share = f"{found.hole_percent:.1f} % of what one sees is the inside of the body: its skin has holes."
         if found.undressed:
