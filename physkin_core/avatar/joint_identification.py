@@ -22,6 +22,8 @@ __all__ = ["identify_bones"]
 SHARE_OF_SKIN = {"arm": 0.58, "leg": 0.84}
 """Elbow to wrist over elbow to fingertips; knee to ankle over knee to sole."""
 ROUNDS = 3
+TOES = 0.05
+"""Share of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right."""
 
 
 def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, HumanSkeleton]:
@@ -34,6 +36,12 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, HumanSkele
     if astray:
         raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
     skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, humanoid=mesh.humanoid)
+    if not skeleton.sides_told and not skeleton.missing:
+        left = _left_by_feet(mesh, skeleton.joints)
+        if left < -TOES:
+            skeleton = skeleton.mirrored()
+        elif left > TOES:
+            skeleton = replace(skeleton, doubt="")
     longer, added = _with_limb_ends(mesh, skeleton.joints)
     missing = tuple(bone for bone in skeleton.missing if bone not in added)
     if missing:
@@ -44,6 +52,18 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, HumanSkele
         remarks += (f"the skeleton has no joint for {', '.join(added)}: put where skin says that the limb ends",)
     longer = replace(longer, warnings=(*mesh.warnings, *remarks))
     return longer, replace(skeleton, joints=skeleton.joints | added, missing=())
+
+
+def _left_by_feet(mesh: SkinnedMesh, joints: Mapping[str, int]) -> float:
+    """How far, in lengths of a shin, feet's skin lies before the ankles if the joints' left is left; below 0 behind
+    them. joints: by rig bone."""
+    heads = {bone: mesh.joint_heads[joint] for bone, joint in joints.items()}
+    hips, ankles = ([heads[f"{bone}.{side}"] for side in "LR"] for bone in ("upperleg01", "foot"))
+    shin = np.linalg.norm(ankles[0] - heads["lowerleg01.L"])
+    forward = np.cross(hips[0] - hips[1], hips[0] + hips[1] - ankles[0] - ankles[1])
+    skins = [mesh.vertices[_carried(mesh, joints[f"foot.{side}"])] for side in "LR"]
+    toes = sum((skin.mean(axis=0) - ankle for skin, ankle in zip(skins, ankles) if len(skin)), np.zeros(3))
+    return float(toes @ forward / max(2 * shin * np.linalg.norm(forward), 1e-12))
 
 
 def _with_limb_ends(mesh: SkinnedMesh, named: Mapping[str, int]) -> tuple[SkinnedMesh, dict[str, int]]:
