@@ -158,7 +158,8 @@ def find_human_skeleton(
     Args:
         names: of the joints; they may say nothing.
         parents: (j,) -1 for none, a parent before its children.
-        heads: (j, 3) places of the joints in any pose. Limbs that no name tells must be held symmetrically; where no name tells left from right, feet, knees or elbows tell where the skeleton faces.
+        heads: (j, 3) places of the joints in any pose. Limbs that no name tells must be held symmetrically;
+            where no name tells left from right, feet, knees or elbows tell where the skeleton faces.
         rig: the default rig. For one without its limbs, joints of its own names are found only.
         humanoid: joint by VRM humanoid bone; replaces the names where a file has it.
     """
