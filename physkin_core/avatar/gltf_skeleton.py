@@ -31,7 +31,7 @@ UNLIKE_LENGTHS = 1.5
 """Poses turn bones and leave their lengths: inverse bind matrices by which the length of a limb segment differs by this
 factor from that between nodes, the median of all being one, are not those of a pose."""
 STANDS = 0.5
-"""Least cosine between the way from hips to feet and that from shoulders to hips of somebody who stands."""
+"""Least cosine between a thigh or shin and the way from shoulders to hips of somebody who stands."""
 AS_LARGE = 0.9
 """Of several figures the first is taken that has this share of the largest one's extent."""
 COPY, NEAR = 0.02, 0.25
@@ -225,14 +225,13 @@ def _same_lengths(human: HumanSkeleton, heads: np.ndarray, shown_heads: np.ndarr
 
 
 def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
-    """Whether both legs lead on from the trunk, joints at (n, 3); of a skeleton without these, too."""
-    bones = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01", "foot") for side in "LR"]
+    """Whether thighs and shins lead on from the trunk, joints at (n, 3); of a skeleton without these, too."""
+    bones = [f"{bone}.{side}" for side in "LR" for bone in ("upperarm01", "upperleg01", "lowerleg01", "foot")]
     if any(bone not in human.joints for bone in bones):
         return True
-    left_arm, right_arm, left_hip, right_hip, left_foot, right_foot = (heads[human.joints[bone]] for bone in bones)
-    trunk = left_hip + right_hip - left_arm - right_arm
-    legs = np.stack([left_foot - left_hip, right_foot - right_hip])
-    return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=1) * np.linalg.norm(trunk)).all())
+    limbs = np.diff(heads[[human.joints[bone] for bone in bones]].reshape(2, 4, 3), axis=1)
+    trunk, legs = limbs[:, 0].sum(axis=0), limbs[:, 1:]
+    return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=2) * np.linalg.norm(trunk)).all())
 
 
 def _skin(file: GltfFile, number: int, draws: bool) -> GltfSkin:
