@@ -47,9 +47,7 @@ def with_appendages_apart(
         return mesh
     strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     bones = joint_bones[strongest]
-    axis, away = tails[bones] - heads[bones], mesh.vertices - heads[bones]
-    along = np.clip((away * axis).sum(axis=1) / np.maximum((axis**2).sum(axis=1), 1e-12), 0, 1)
-    off = np.linalg.norm(away - along[:, None] * axis, axis=1)
+    off = _off_bones(mesh.vertices, heads[bones], tails[bones])
     shoulders = min(heads[rig.bone_index(f"upperarm01.{side}"), 2] for side in "LR")
     upper = np.array([name.startswith(("neck", "head")) for name in rig.bone_names])[bones]
     far = np.where(upper, mesh.vertices[:, 2] < shoulders - BELOW * scale, off > scale * _flesh()[bones])
@@ -67,8 +65,7 @@ def with_appendages_apart(
         own = (pieces == piece) & (found < 0)
         if own.any():
             found[own] = np.bincount(strongest[own]).argmax()
-    faces = np.sort(found[mesh.faces], axis=1)[:, 1]  # of two of the three corners at least
-    faces = np.where(skin, faces, -1)
+    faces = np.where(skin, np.sort(found[mesh.faces], axis=1)[:, 1], -1)  # that of two corners at least
     if not (faces >= 0).any() or (faces[skin] >= 0).all():
         return mesh
     for joint in np.unique(faces[faces >= 0]):
@@ -103,19 +100,22 @@ def _pieces(faces: np.ndarray, count: int) -> np.ndarray:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    ends = faces[:, [0, 1]], faces[:, [1, 2]]
-    first, second = np.concatenate(ends).T
+    first, second = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]).T
     return connected_components(coo_array((np.ones(len(first)), (first, second)), (count, count)), directed=False)[1]
+
+
+def _off_bones(points: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    """(V,) [m] how far each of points (V, 3) is from a bone of its own."""
+    axis, away = tails - heads, points - heads
+    along = np.clip((away * axis).sum(axis=1) / np.maximum((axis**2).sum(axis=1), 1e-12), 0, 1)
+    return np.linalg.norm(away - along[:, None] * axis, axis=1)
 
 
 @cache
 def _flesh() -> np.ndarray:
     """(b,) [m] how far from each bone flesh reaches at most; shared, do not write."""
     body = load_body_model()
-    heads, tails = body.mean_bones[:, 0], body.mean_bones[:, 1]
     bones = body.influence_bones[np.arange(len(body.mean_vertices)), body.influence_weights.argmax(axis=1)]
-    axis, away = (tails - heads)[bones], body.mean_vertices - heads[bones]
-    along = np.clip((away * axis).sum(axis=1) / np.maximum((axis**2).sum(axis=1), 1e-12), 0, 1)
-    usual = np.zeros(len(heads))
-    np.maximum.at(usual, bones, np.linalg.norm(away - along[:, None] * axis, axis=1))
+    usual = np.zeros(len(body.mean_bones))
+    np.maximum.at(usual, bones, _off_bones(body.mean_vertices, *body.mean_bones[bones].swapaxes(0, 1)))
     return STOUT * np.where(usual > 0, usual, usual.max()) + LOOSE

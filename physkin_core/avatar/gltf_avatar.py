@@ -26,7 +26,7 @@ from physkin_core.avatar.skinned_mesh import (
     clean_surface,
     unit_scale,
 )
-from physkin_core.file_reading import ContentError, shown
+from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
@@ -82,8 +82,10 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
     skeleton = find_skeleton(file, counts, rig, humanoid)
     warnings = [*_mended(file, humanoid or {}), *skeleton.warnings]
     skinned = [each for each in skinned if each.skin in (None, *skeleton.skins)]
-    coarse, repeated = coarse_copies(file, [each.drawn for each in skinned])
-    warnings += repeated
+    coarse = coarse_copies([each.drawn for each in skinned if each.skin is not None])
+    if coarse:
+        called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
+        warnings.append(f"these meshes draw again what others draw finer: {called}; left out")
     bound, rigid = [], []
     for drawn, skin in skinned:
         if drawn.node in coarse:

@@ -96,31 +96,30 @@ def find_skeleton(
     taken as its nodes stand, in T-pose. Raises ContentError.
     """
     check_bone_count(len({joint for number in vertex_counts for joint in named_joints(file, number)}))
-    skins = {number: _skin(file, number, vertex_counts[number] > 0) for number in vertex_counts}
-    figures = [_Figure(file, skins, group, vertex_counts, rig, humanoid) for group in _groups(file, skins)]
-    most = max(figure.vertex_count for figure in figures)
-    people = [figure for figure in figures if not figure.human.missing and (figure.vertex_count or not most)]
-    people = people or [figure for figure in figures if figure.vertex_count == most]
+    drawing = sorted(vertex_counts, key=lambda number: -vertex_counts[number])
+    drawing = [number for number in drawing if vertex_counts[number] or not vertex_counts[drawing[0]]]
+    skins = {number: _skin(file, number) for number in drawing}
+    groups = sorted(_groups(file, skins), key=min)
+    figures = [_Figure(file, {number: skins[number] for number in group}, rig, humanoid) for group in groups]
+    people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
+    people = people or [figure for figure in figures if drawing[0] in figure.skins]
     largest = max(figure.extent for figure in people)
     chosen = next(figure for figure in people if figure.extent >= AS_LARGE * largest)
     joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
     worn, left_out = dict(chosen.skins), []
     for other in figures:
-        if other is chosen or not other.vertex_count:
-            continue
-        carriers = chosen.carriers_of(other)
-        if carriers is None:
-            left_out.append(other)
-            continue
-        worn |= other.skins
-        added = [node for node in other.nodes if node not in joint]
-        joint = {node: int(k) for node, k in zip(other.nodes, carriers)} | joint
-        worlds[added] = other.worlds[added]
+        carriers = None if other is chosen else chosen.carriers_of(other)
+        if carriers is not None:
+            worn |= other.skins
+            added = [node for node in other.nodes if node not in joint]
+            joint = {node: int(k) for node, k in zip(other.nodes, carriers)} | joint
+            worlds[added] = other.worlds[added]
+        elif other is not chosen:
+            left_out.append(_called(file, other.skins))
     warnings = ()
     if left_out:
-        names = [_called(file, other.skins) for other in left_out]
         taken = f"{_called(file, chosen.skins)} is taken, the largest person or the first of that size"
-        warnings = (f"{len(left_out) + 1} figures are in the file: {taken}; left out: {', '.join(names)}",)
+        warnings = (f"{len(left_out) + 1} figures are in the file: {taken}; left out: {', '.join(left_out)}",)
     return GltfSkeleton(chosen.nodes, joint, worlds, worn, warnings)
 
 
@@ -128,35 +127,24 @@ class _Figure:
     """What hangs together: skins that share joints, or whose joints hang on each other's.
 
     nodes: joints and all above them, parents first. parents: of these, -1 for none. worlds: (g, 4, 4) in the pose that
-    is taken. human: what was recognised. heads: of the nodes. extent: of these.
+    is taken. heads: of the nodes. extent: of these. skins: the largest first.
     """
 
     def __init__(
-        self,
-        file: GltfFile,
-        skins: Mapping[int, GltfSkin],
-        group: Collection[int],
-        vertex_counts: Mapping[int, int],
-        rig: Rig,
-        humanoid: Mapping[str, int] | None,
+        self, file: GltfFile, skins: Mapping[int, GltfSkin], rig: Rig, humanoid: Mapping[str, int] | None
     ) -> None:
-        largest_first = sorted(group, key=lambda number: -vertex_counts[number])
-        self.skins = {number: skins[number] for number in largest_first}
-        self.vertex_count = sum(vertex_counts[number] for number in group)
-        self.joints = {joint for skin in self.skins.values() for joint in skin.joints}
-        inside = set()
-        for joint in (*(humanoid or {}).values(), *self.joints):
-            inside.update(ancestors(file.node_parents, joint))
+        self.skins, self._rig = skins, rig
+        self.joints = {joint for skin in skins.values() for joint in skin.joints}
+        within = (*(humanoid or {}).values(), *self.joints)
+        inside = {above for joint in within for above in ancestors(file.node_parents, joint)}
         check_bone_count(len(inside))
         self.nodes = [node for node in file.node_order if node in inside]
         place = {node: k for k, node in enumerate(self.nodes)}
         self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
         self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
-        self._rig = rig
         self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
         self.worlds = file.node_worlds
-        self.human = self._recognised(self.worlds)
-        bound = [skin for skin in self.skins.values() if skin.given]
+        bound = [skin for skin in skins.values() if skin.given]
         if humanoid is None and bound:
             self._take_bind_pose(_bind_worlds(file, bound))
         self.heads = self.worlds[self.nodes][:, :3, 3]
@@ -170,8 +158,10 @@ class _Figure:
         from scipy.spatial import cKDTree
 
         apart, nearest = cKDTree(self.heads).query(other.heads)
-        if not other.human.missing:
-            return nearest if self._is_copied_by(other) else None
+        if not other.human.missing:  # clothes may bring the skeleton
+            shared = self.human.joints.keys() & other.human.joints.keys()
+            gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
+            return nearest if np.linalg.norm(gaps, axis=1).max() < COPY * self.extent else None
         joints = np.isin(other.nodes, list(other.joints))
         begins = joints & ~((other.parents >= 0) & joints[other.parents])
         for k in np.flatnonzero(joints & ~begins):
@@ -187,19 +177,18 @@ class _Figure:
     def _take_bind_pose(self, worlds: np.ndarray) -> None:
         """Take the body from the bind pose, unless it is none, or the figure stands as its nodes are and not there."""
         heads, shown_heads = worlds[self.nodes][:, :3, 3], self.worlds[self.nodes][:, :3, 3]
-        if not np.isfinite(heads).all():
-            return
-        extent = np.ptp(shown_heads, axis=0).max()
-        if np.abs(heads - shown_heads).max() > SAME_POSE * extent:
-            human = self._recognised(worlds)
-            if not self.human.missing and (
-                human.missing
-                or not _same_lengths(human, heads, shown_heads)
-                or (_stands(self.human, shown_heads) and not _stands(human, heads))
-            ):
+        if np.abs(heads - shown_heads).max() > SAME_POSE * np.ptp(shown_heads, axis=0).max():
+            human, shown_human = self._recognised(worlds), self.human
+            is_pose = not human.missing and _same_lengths(human, heads, shown_heads)
+            if not shown_human.missing and not (is_pose and _stands(human, heads) >= _stands(shown_human, shown_heads)):
                 return
             self.human = human
         self.worlds = worlds
+
+    @cached_property
+    def human(self) -> HumanSkeleton:
+        """What is recognised in the pose that is taken."""
+        return self._recognised(self.worlds)
 
     def _recognised(self, worlds: np.ndarray) -> HumanSkeleton:
         heads = worlds[self.nodes][:, :3, 3]
@@ -209,18 +198,9 @@ class _Figure:
 
 def _same_lengths(human: HumanSkeleton, heads: np.ndarray, shown_heads: np.ndarray) -> bool:
     """Whether the limb segments of two poses, joints at (n, 3), have the same lengths but for a factor."""
-    ends = [
-        [human.joints[end] for end in segment]
-        for segment in LIMB_SEGMENTS.values()
-        if human.joints.keys() >= set(segment)
-    ]
-    if not ends:
-        return True
-    ends = np.array(ends)
-    lengths = [np.linalg.norm(at[ends[:, 1]] - at[ends[:, 0]], axis=1) for at in (heads, shown_heads)]
-    if min(map(np.min, lengths)) <= 0:
-        return False
-    ratio = np.log(lengths[0] / lengths[1])
+    ends = [[human.joints.get(end, 0) for end in segment] for segment in LIMB_SEGMENTS.values()]
+    first, second = (np.linalg.norm(np.diff(at[ends], axis=1)[:, 0], axis=1) for at in (heads, shown_heads))
+    ratio = np.log(np.maximum(first, 1e-12) / np.maximum(second, 1e-12))
     return bool(np.abs(ratio - np.median(ratio)).max() < np.log(UNLIKE_LENGTHS))
 
 
@@ -234,20 +214,18 @@ def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
     return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=2) * np.linalg.norm(trunk)).all())
 
 
-def _skin(file: GltfFile, number: int, draws: bool) -> GltfSkin:
+def _skin(file: GltfFile, number: int) -> GltfSkin:
     joints, matrices = named_joints(file, number), file.document.item("skins", number).index("inverseBindMatrices")
-    if matrices is None or not draws:
-        unmoved = np.tile(np.eye(4), (len(joints), 1, 1))
-        return GltfSkin(joints, unmoved, unmoved, given=False)
-    stored = file.accessor(matrices)
-    inverse = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).copy() if stored.shape[1] == 16 else stored
-    binds = np.full(inverse.shape, np.nan)
-    if stored.shape[1] == 16:
+    inverse = np.tile(np.eye(4), (len(joints), 1, 1))
+    if matrices is None:
+        return GltfSkin(joints, inverse, inverse, given=False)
+    stored, binds = file.accessor(matrices), np.full(inverse.shape, np.nan)
+    if len(stored) >= len(joints) and stored.shape[1] == 16:
+        inverse[:, :3] = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)[:, :3]
         known = np.isfinite(inverse).all(axis=(1, 2))
         known[known] = np.abs(np.linalg.det(inverse[known])) > np.finfo(float).tiny
-        inverse[~known] = np.nan
-        binds[known] = np.linalg.inv(inverse[known])
-    if len(stored) < len(joints) or not np.isfinite(binds).any():
+        inverse[~known], binds[known] = np.nan, np.linalg.inv(inverse[known])
+    if not np.isfinite(binds).any():
         raise ContentError(
             f"skin {number} has {len(joints)} joints and {len(stored)} inverse bind matrices of {stored.shape[1]} "
             "numbers; each joint needs a finite one of 16"
@@ -256,20 +234,20 @@ def _skin(file: GltfFile, number: int, draws: bool) -> GltfSkin:
 
 
 def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[list[int]]:
-    """Numbers of skins that share joints, or whose joints hang on each other's; the first skin's first."""
+    """Numbers of skins that share joints, or whose joints hang on each other's."""
     group, owner = {number: number for number in skins}, {}
 
     def join(one: int, other: int) -> None:
-        first, second = sorted((group[one], group[other]))
-        group.update({number: first for number, each in group.items() if each == second})
+        first, second = group[one], group[other]
+        if first != second:
+            group.update({number: first for number, each in group.items() if each == second})
 
     for number, skin in skins.items():
         for joint in skin.joints:
             join(number, owner.setdefault(joint, number))
     for joint, number in owner.items():
-        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), None)
-        if above is not None and group[owner[above]] != group[number]:
-            join(number, owner[above])
+        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
+        join(number, owner[above])
     return [[number for number in skins if group[number] == each] for each in dict.fromkeys(group.values())]
 
 
