@@ -40,8 +40,9 @@ __all__ = ["load_gltf"]
 TO_ROOT_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 VRM0_TO_ROOT_FRAME = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 END_SUFFIX = "_end"
-SLIGHT = 0.05
-"""Skinning weights down to less than this below 0 come of resampling and rounding."""
+SLIGHT, FEW = 0.05, 0.01
+"""Skinning weights down to less than this below 0 come of resampling and rounding; and the share of vertices by whose
+weights no body is spoilt."""
 
 
 def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
@@ -225,15 +226,15 @@ def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tup
     unused = np.ones(count, dtype=bool)
     unused[drawn.faces] = False
     weight[unused] = 0
-    if not np.isfinite(weight).all() or weight.min() < -SLIGHT:
+    odd = ~np.isfinite(weight)
+    weight[odd] = 0
+    if odd.any(axis=1).mean() > FEW or weight.min() < -SLIGHT:
         raise ContentError(f"skinning weights of mesh {label} must be finite and not negative")
-    negative = np.flatnonzero((weight < 0).any(axis=1))
-    if len(negative):
-        said.append(
-            f"{len(negative)} vertices of {label} have skinning weights below 0, down to {weight.min():.2g}, the first "
-            f"is {negative[0]}: taken as 0"
-        )
-        weight = np.maximum(weight, 0)
+    mended = np.flatnonzero((odd | (weight < 0)).any(axis=1) & ~unused)
+    if len(mended):
+        what = f"{len(mended)} vertices of {label} have skinning weights that are below 0 or not finite"
+        said.append(f"{what}, the first is {mended[0]}: taken as 0")
+    weight = np.maximum(weight, 0)
     limit = len(named_joints(file, skin))
     joint = np.where(weight > 0, joint, 0)
     if joint.dtype.kind != "i" or joint.min() < 0 or joint.max() >= limit:

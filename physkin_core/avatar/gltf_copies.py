@@ -16,7 +16,7 @@ from physkin_core.quality import closest_points
 
 __all__ = ["coarse_copies"]
 
-SAME_BOX, SAME_SURFACE = 0.02, 0.01
+SAME_BOX, SAME_SURFACE = 0.02, 0.005
 """Shares of the extent: by how much the boxes about two meshes differ, and how far the vertices of each lie from the
 other on average, where both are one surface."""
 PIECES = 0.5

@@ -63,6 +63,7 @@ def main(argv: list[str]) -> int:
         overlap_percent=body_overlap(avatar, rig, poses),
         measured=all(layer.fit == 1 for layer in outfit.layers),
         limbs_apart=options.separate_limbs,
+        height=float(np.ptp(outfit.avatar.vertices[:, 2])),
         bare=bare_parts(outfit.avatar, rig),
         undressed=len(outfit.avatar.clothes) < len(avatar.clothes),
     )

@@ -176,16 +176,16 @@ def test_what_is_not_finite_is_refused_only_where_it_decides(tmp_path):
         load_document(tmp_path, builder)
 
 
-def test_skinning_weights_slightly_below_zero(tmp_path):
+def test_a_few_skinning_weights_that_are_none(tmp_path):
     builder = person_document()
     strongest = np.argsort(-PERSON.influence_weights, axis=1)[:, :4]
     weights = np.take_along_axis(PERSON.influence_weights, strongest, axis=1).astype(np.float32)
-    weights[[7, 9], 3] = -0.001
+    weights[7, 3], weights[9, 3] = -0.001, np.nan
     primitive_of(builder)["attributes"]["WEIGHTS_0"] = builder.add_accessor(weights)
     avatar = load_document(tmp_path, builder)
     assert_is_the_person(avatar)
     assert avatar.warnings == (
-        "2 vertices of 'body' have skinning weights below 0, down to -0.001, the first is 7: taken as 0",
+        "2 vertices of 'body' have skinning weights that are below 0 or not finite, the first is 7: taken as 0",
     )
 
 
