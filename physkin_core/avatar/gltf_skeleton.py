@@ -30,6 +30,8 @@ SAME_POSE = 1e-3
 UNLIKE_LENGTHS = 1.5
 """Poses turn bones and leave their lengths: inverse bind matrices by which the length of a limb segment differs by this
 factor from that between nodes, the median of all being one, are not those of a pose."""
+SAME_LENGTH = 0.05
+"""Share of its length by which a bone between joints of two skins that share mesh space may differ between poses."""
 STANDS = 0.5
 """Least cosine between a thigh or shin and the way from shoulders to hips of somebody who stands."""
 AS_LARGE = 0.9
@@ -265,16 +267,23 @@ def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
         if node in skins[0].place:
             set_world(node, to_scene @ skins[0].binds[skins[0].place[node]])
             return
-        for skin in skins[1:]:
-            if node in skin.place:
-                above = ancestors(parents, node)[1:]
-                anchor = next((each for each in above if known[each] and each in skin.place), None)
-                if anchor is not None:
-                    relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
-                    set_world(node, worlds[anchor] @ relative)
-                    return
-        if parents[node] >= 0 and known[parents[node]]:
-            set_world(node, worlds[parents[node]] @ file.node_locals[node])
+        for skin in (skin for skin in skins[1:] if node in skin.place):
+            above = ancestors(parents, node)[1:]
+            anchor = next((each for each in above if known[each] and each in skin.place), None)
+            if anchor is not None:
+                relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
+                set_world(node, worlds[anchor] @ relative)
+                return
+        if parents[node] < 0 or not known[parents[node]]:
+            return
+        parent, local = worlds[parents[node]], file.node_locals[node]
+        length = np.linalg.norm(parent[:3, :3] @ local[:3, 3])
+        for skin in (skin for skin in skins[1:] if node in skin.place):  # most share one mesh space
+            shared = to_scene @ skin.binds[skin.place[node]]
+            if abs(np.linalg.norm(shared[:3, 3] - parent[:3, 3]) - length) < SAME_LENGTH * length:
+                set_world(node, shared)
+                return
+        set_world(node, parent @ local)
 
     for node in file.node_order:
         follow(node)

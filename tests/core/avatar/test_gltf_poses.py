@@ -112,6 +112,32 @@ def test_skins_of_one_figure_that_were_bound_apart(tmp_path):
     assert distances(avatar.bone_heads, PERSON.bone_heads).max() < EXACT
 
 
+def test_a_head_with_a_skin_of_its_own(tmp_path):
+    """Bound in the space of the body's mesh, but with no joint of its skin."""
+    head = RIG.bone_index("head")
+    bones = PERSON.influence_bones[np.arange(len(PERSON.vertices)), PERSON.influence_weights.argmax(axis=1)]
+    on_head = (bones == head)[PERSON.faces]
+    rigid = {"influence_joints": np.minimum(bones, head)[:, None], "influence_weights": np.ones((len(bones), 1))}
+    builder = person_document(faces=PERSON.faces[~on_head.any(axis=1)], **rigid)
+    primitive, document, binds = primitive_of(builder), builder.document, inverse_binds(builder)
+    kept = [bone for bone in range(RIG.bone_count) if bone != head]  # the last one
+    document["skins"][0] |= {"joints": kept, "inverseBindMatrices": store_binds(builder, binds[kept])}
+    indices = builder.add_accessor(PERSON.faces[on_head.all(axis=1)].astype(np.uint16).reshape(-1))
+    first = builder.add_accessor(np.zeros((len(bones), 4), np.uint8))
+    own = {"attributes": {**primitive["attributes"], "JOINTS_0": first}, "indices": indices}
+    document["meshes"].append({"name": "face", "primitives": [own]})
+    document["skins"].append({"joints": [head], "inverseBindMatrices": store_binds(builder, binds[[head]])})
+    document["nodes"].append({"name": "face", "mesh": 1, "skin": 1})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    joints = np.where(bones == head, 0, bones)
+    primitive["attributes"]["JOINTS_0"] = builder.add_accessor(
+        np.column_stack([joints, 0 * joints, 0 * joints, 0 * joints]).astype(np.uint8)
+    )
+    avatar = load_document(tmp_path, turned_nodes(builder, {"head": (0, 40, 0)}))
+    kept_faces = np.concatenate([PERSON.faces[~on_head.any(axis=1)], PERSON.faces[on_head.all(axis=1)]])
+    assert distances(avatar.vertices[avatar.faces], PERSON.vertices[kept_faces]).max() < EXACT
+
+
 def test_joints_of_no_skin_follow_their_parents(tmp_path):
     """Hips and a vertebra that nothing was bound to are placed by the nodes next to them."""
     builder = person_document()
