@@ -93,10 +93,8 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
             continue
         label = shown(file.nodes[drawn.node].text("name") or f"node {drawn.node}")
         if skin is None:
-            carrier = next(
-                (skeleton.joint[each] for each in ancestors(file.node_parents, drawn.node) if each in skeleton.joint),
-                None,
-            )
+            above = ancestors(file.node_parents, drawn.node)
+            carrier = next((skeleton.joint[each] for each in above if each in skeleton.joint), None)
             if carrier is None:
                 warnings.append(f"mesh {label} has no skin and hangs on no joint: left out")
                 continue
@@ -194,11 +192,10 @@ def _lying_at(drawn: Drawn, transform: np.ndarray, bound: Sequence[_Bound]) -> _
 def _mended(file: GltfFile, humanoid: Mapping[str, int]) -> list[str]:
     """What was wrong with nodes that decide nothing, a warning each. Raises ContentError where one is, or bears, a bone
     that has a name."""
+    telling = (k for k, node in enumerate(file.nodes) if k in humanoid.values() or read_name(node.text("name")).bones)
+    deciding = {above for node in telling for above in ancestors(file.node_parents, node)}
     for node, fault in file.mended.items():
-        if "turns by nothing" in fault:
-            continue
-        below = [each for each in range(len(file.nodes)) if node in ancestors(file.node_parents, each)]
-        if any(each in humanoid.values() or read_name(file.nodes[each].text("name")).bones for each in below):
+        if node in deciding and "turns by nothing" not in fault:
             raise ContentError(fault)
     return [f"{shown(file.nodes[node].text('name'))}: {fault}; taken as none" for node, fault in file.mended.items()]
 
