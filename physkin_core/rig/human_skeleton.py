@@ -402,10 +402,18 @@ def _with_trunk(tree: _Tree, joints: dict[str, int], arms: _Pair, legs: _Pair, r
             found |= _clavicle(tree, side, arm, chest)
         if not (arms.named and legs.named):
             onward = [child for child in tree.children[chest] if not tree.below[firsts, child].any()]
-            for bone in ("neck01", "head"):
-                if onward and bone not in found:
-                    found[bone] = max(onward, key=lambda joint: tree.reach[joint])
-                onward = tree.children[found[bone]] if bone in found else []
+            upwards = []
+            while onward:
+                upwards.append(max(onward, key=lambda joint: tree.reach[joint]))
+                onward = tree.children[upwards[-1]]
+            if upwards and "neck01" not in found:
+                found["neck01"] = upwards[0]
+            if len(upwards) > 1 and "head" not in found and {"neck01", "head"} <= set(rig.bone_names):
+                root, neck, head = (rig.heads[rig.bone_index(bone)] for bone in (rig.bone_names[0], "neck01", "head"))
+                usual = np.linalg.norm(head - neck) / np.linalg.norm(neck - root)
+                length = usual * (tree.along[upwards[0]] - tree.along[max(hub, 0)])
+                ways = np.abs(tree.along[upwards[1:]] - tree.along[upwards[0]] - length)
+                found["head"] = upwards[1 + int(ways.argmin())]
         if found.get("neck01") == chest:  # 3ds Max's bipeds hang their collar bones on the neck
             chest = int(tree.parents[chest])
     spine = spine_bones(rig)
