@@ -65,6 +65,8 @@ BRANCH = 0.4
 """Share of the longest branch's length from which on another one counts as a branch, as thumb and fingers do."""
 PART_WAY = 0.9
 """Such a share for a branch without joints below it, which may just divide a bone as twist joints do."""
+LONG_NECK = 1.6
+"""Times its usual length over the trunk's: the last joint within is where the head begins."""
 CLAVICLE = 0.02
 """Least length of a collar bone that its place alone tells."""
 FACING = 0.005
@@ -412,8 +414,8 @@ def _with_trunk(tree: _Tree, joints: dict[str, int], arms: _Pair, legs: _Pair, r
                 root, neck, head = (rig.heads[rig.bone_index(bone)] for bone in (rig.bone_names[0], "neck01", "head"))
                 usual = np.linalg.norm(head - neck) / np.linalg.norm(neck - root)
                 length = usual * (tree.along[upwards[0]] - tree.along[max(hub, 0)])
-                ways = np.abs(tree.along[upwards[1:]] - tree.along[upwards[0]] - length)
-                found["head"] = upwards[1 + int(ways.argmin())]
+                near = [joint for joint in upwards if tree.along[joint] - tree.along[upwards[0]] < LONG_NECK * length]
+                found["head"] = max(near[-1], upwards[1], key=upwards.index)
         if found.get("neck01") == chest:  # 3ds Max's bipeds hang their collar bones on the neck
             chest = int(tree.parents[chest])
     spine = spine_bones(rig)
