@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core import AvatarWarning, Outfit, load_garment_model
+from physkin_core import AvatarWarning, Outfit, load_body_model, load_garment_model
 from physkin_core.completion import SHELLS, completion_script
 from physkin_core.extras import extra_of, install_command
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
+from physkin_core.motion.clip_files import CLIP_SUFFIXES, describe_clips
 from physkin_core.outfit.outfit_options import add_options, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.pictures.picture import PictureError, render, save_png
@@ -82,7 +83,7 @@ COMMANDS = {
             "draw a garment model on a lean, an average and a stout body",
         ),
         "simulate": ("physkin_training.evaluate.simulate", "drape a garment on an avatar by minimising its energy"),
-        "info": ("", "show what a garment model file holds"),
+        "info": ("", "show what a garment model or a motion file holds"),
     },
     "this installation": {
         "doctor": ("physkin_core.doctor.doctor", "check this installation, and tell what to do if something is wrong"),
@@ -190,21 +191,21 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
 
     worn = argparse.ArgumentParser(add_help=False)
     worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_options(worn, "garment", "rig", "fit", "tucked")
+    add_options(worn, "garment", "rig", "bones", "fit", "tucked")
     drape = command("drape", _drape, worn)
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     drape.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
     drape.add_argument(
         "--strip", type=int, metavar="N", help="draw N frames instead, evenly spread, from the front and the back"
     )
-    add_options(drape, "separate-limbs", "own-clothes")
+    add_options(drape, "source-rate", "separate-limbs", "own-clothes")
     drape.add_argument("-o", "--output", type=Path, required=True, help="body and garments as .obj, or a .png picture")
     bind = command("bind", _bind, worn)
     bind.add_argument(
         "-o", "--output", type=Path, required=True, help="file to write, such as me.physkin (docs/c-host.md)"
     )
     info = command("info", _info)
-    info.add_argument("model", help="garment model file, or the name of a shipped one")
+    info.add_argument("model", help="garment model file, or the name of a shipped one; or a file with clips")
     command("completion", _complete).add_argument("shell", choices=SHELLS)
     return parser
 
@@ -254,6 +255,9 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _info(options: argparse.Namespace) -> int:
+    is_clip = Path(options.model).suffix.lower() in CLIP_SUFFIXES
+    if is_clip and (clips := describe_clips(options.model, load_body_model().rig)):
+        return _print_rows(clips)
     model = load_garment_model(options.model)
     garment, rig = model.garment, model.rig
     sizes = {
@@ -275,6 +279,10 @@ def _info(options: argparse.Namespace) -> int:
         "training": json.dumps(dict(model.training), indent=2),
         "scores": json.dumps(dict(model.scores), indent=2),
     }
+    return _print_rows(rows)
+
+
+def _print_rows(rows: Mapping[str, object]) -> int:
     width = max(map(len, rows))
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows.items()))
     return 0

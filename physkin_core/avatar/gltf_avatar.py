@@ -16,7 +16,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.gltf_copies import coarse_copies
-from physkin_core.avatar.gltf_skeleton import GltfSkeleton, find_skeleton, named_joints
+from physkin_core.avatar.gltf_skeleton import GltfSkeleton, find_skeleton
 from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
 from physkin_core.avatar.skinned_mesh import (
@@ -28,6 +28,7 @@ from physkin_core.avatar.skinned_mesh import (
 )
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.joint_names import read_name
@@ -45,14 +46,14 @@ SLIGHT, FEW = 0.05, 0.01
 weights no body is spoilt."""
 
 
-def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
     file = GltfFile(path, lenient=True)
     if not file.document.count("skins"):
-        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, up="Y")
+        return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:
         raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
-    return retarget(_skinned_mesh(file, rig), rig)
+    return retarget(_skinned_mesh(file, rig), rig, bones=bones)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
@@ -73,7 +74,7 @@ def _plain_mesh(file: GltfFile) -> Surface:
 
 
 def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
-    humanoid = _humanoid_nodes(file)
+    humanoid = humanoid_nodes(file)
     skinned = [_Skinned(drawn, file.nodes[drawn.node].index("skin")) for drawn in drawn_primitives(file)]
     counts = dict.fromkeys(range(file.document.count("skins")), 0)
     for each in skinned:
@@ -105,7 +106,7 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
         if "JOINTS_0" not in drawn.primitive.entry("attributes"):
             rigid.append((drawn, transforms, label))
             continue
-        joints, weights, said = _skin_influences(file, drawn, skin, label)
+        joints, weights, said = _skin_influences(file, drawn, len(skeleton.skins[skin].joints), label)
         warnings += said
         placed = linear_blend_skinning(drawn.positions, transforms, joints, weights)
         own = np.array([skeleton.joint[joint] for joint in skeleton.skins[skin].joints])
@@ -207,9 +208,9 @@ def _part_names(file: GltfFile, drawn: Drawn) -> tuple[str, ...]:
     return tuple(filter(None, (*named, file.nodes[drawn.node].text("name")))) or (f"node {drawn.node}",)
 
 
-def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and what was mended. Those of
-    vertices that no face uses do not matter."""
+def _skin_influences(file: GltfFile, drawn: Drawn, limit: int, label: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Indices into the skin's joints (V, K), below `limit`, weights (V, K) with rows summing to 1, and what was mended.
+    Those of vertices that no face uses do not matter."""
     joints, weights, count = [], [], len(drawn.positions)
     while (named := file.attribute(drawn.primitive, f"JOINTS_{len(joints)}")) is not None:
         joints.append(named)
@@ -232,7 +233,6 @@ def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tup
         what = f"{len(mended)} vertices of {label} have skinning weights that are below 0 or not finite"
         said.append(f"{what}, the first is {mended[0]}: taken as 0")
     weight = np.maximum(weight, 0)
-    limit = len(named_joints(file, skin))
     joint = np.where(weight > 0, joint, 0)
     if joint.dtype.kind != "i" or joint.min() < 0 or joint.max() >= limit:
         raise ContentError(f"mesh {label} names joint {joint.max()}, allowed 0 to {limit - 1}")
@@ -252,22 +252,6 @@ def _joint_tails(file: GltfFile, skeleton: GltfSkeleton) -> np.ndarray:
             if file.nodes[child].text("name") == end:
                 tails[joint] = skeleton.worlds[child][:3, 3]
     return tails
-
-
-def _humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
-    """Node by VRM humanoid bone, or None for a file that is not a VRM."""
-    extensions = file.document.entry("extensions")
-    if "VRMC_vrm" in extensions:
-        bones = extensions.entry("VRMC_vrm").entry("humanoid").entry("humanBones")
-        nodes = {name: bones.entry(name).integer("node") for name in bones.members}
-    elif "VRM" in extensions:
-        bones = extensions.entry("VRM").entry("humanoid").entries("humanBones")
-        nodes = {bone.text("bone"): bone.integer("node") for bone in bones}
-    else:
-        return None
-    for node in nodes.values():
-        file.document.item("nodes", node)
-    return nodes
 
 
 def _frame(file: GltfFile) -> np.ndarray:

@@ -17,13 +17,14 @@ from functools import cached_property
 import numpy as np
 
 from physkin_core.avatar.skinned_mesh import check_bone_count
-from physkin_core.file_reading import ContentError, listed, shown
+from physkin_core.file_reading import ContentError, listed
 from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_joints import skin_nodes
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton", "named_joints"]
+__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton"]
 
 SAME_POSE = 1e-3
 """Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
@@ -80,15 +81,6 @@ class GltfSkeleton:
     warnings: tuple[str, ...] = ()
 
 
-def named_joints(file: GltfFile, skin: int) -> list[int]:
-    """Nodes that are the joints of a skin. Raises ContentError."""
-    entry = file.document.item("skins", skin)
-    nodes = entry.indices("joints")
-    if not nodes or max(nodes) >= len(file.nodes):
-        raise ContentError(f"joints of {entry.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
-    return nodes
-
-
 def find_skeleton(
     file: GltfFile, vertex_counts: Mapping[int, int], rig: Rig, humanoid: Mapping[str, int] | None
 ) -> GltfSkeleton:
@@ -97,7 +89,8 @@ def find_skeleton(
     vertex_counts: by skin of the file, 0 for those that draw nothing. humanoid: node by VRM humanoid bone; a VRM is
     taken as its nodes stand, in T-pose. Raises ContentError.
     """
-    check_bone_count(len({joint for number in vertex_counts for joint in named_joints(file, number)}))
+    entries = file.document.entries("skins")
+    check_bone_count(len({joint for number in vertex_counts for joint in skin_nodes(file, entries[number])}))
     drawing = sorted(vertex_counts, key=lambda number: -vertex_counts[number])
     drawing = [number for number in drawing if vertex_counts[number] or not vertex_counts[drawing[0]]]
     skins = {number: _skin(file, number) for number in drawing}
@@ -217,7 +210,8 @@ def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
 
 
 def _skin(file: GltfFile, number: int) -> GltfSkin:
-    joints, matrices = named_joints(file, number), file.document.item("skins", number).index("inverseBindMatrices")
+    entry = file.document.item("skins", number)
+    joints, matrices = skin_nodes(file, entry), entry.index("inverseBindMatrices")
     inverse = np.tile(np.eye(4), (len(joints), 1, 1))
     if matrices is None:
         return GltfSkin(joints, inverse, inverse, given=False)

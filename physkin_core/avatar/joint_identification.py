@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
+from physkin_core.rig.bones_file import read_bones_file
 from physkin_core.rig.human_skeleton import LIMB_BONES, HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, RigError
 
@@ -26,16 +28,18 @@ TOES = 0.05
 """Share of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right."""
 
 
-def identify_bones(mesh: SkinnedMesh, rig: Rig) -> tuple[SkinnedMesh, HumanSkeleton]:
+def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None) -> tuple[SkinnedMesh, HumanSkeleton]:
     """The mesh, with wrists and ankles added where the skeleton has none, and which joint is which bone of the rig. The
-    mesh comes back with a warning of what was assumed.
+    mesh comes back with a warning of what was assumed. bones: the bones file; None: that beside the mesh's file.
 
     Raises RigError when a bone that is needed has no joint.
     """
     astray = [mesh.joint_names[joint] for joint in np.flatnonzero(~np.isfinite(mesh.joint_heads).all(axis=1))]
     if astray:
         raise AvatarError(f"avatar {mesh.source}: joints {', '.join(astray)} are not at finite positions")
-    skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, humanoid=mesh.humanoid)
+    by_hand = read_bones_file(bones, Path(mesh.source), rig.bone_names, mesh.joint_names)
+    said = {"humanoid": mesh.humanoid, "by_hand": by_hand}
+    skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, **said)
     if not skeleton.sides_told and not skeleton.missing:
         left = _left_by_feet(mesh, skeleton.joints)
         if left < -TOES:

@@ -20,7 +20,9 @@ GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
 
-def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+def load_avatar(
+    path: str | Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None
+) -> Avatar:
     """Read an avatar and put it into the canonical pose of a rig.
 
     Clothes over skin go to `Avatar.clothes`; hair, eyes and shoes to `Avatar.accessories`. What was assumed or repaired
@@ -31,6 +33,8 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
         rig: the garment model's.
         rig_file: skeleton of a plain mesh (docs/avatars.md#rig-file). None: `NAME.rig.json` beside `NAME.obj`, if it
             exists. A mesh without any skeleton gets the rig fitted to it, with a warning.
+        bones: which joint is which bone, a JSON file (docs/avatars.md#bones-file). None: `NAME.bones.json` beside
+            `NAME.glb`, if it exists.
 
     Returns:
         The avatar, bound to the rig.
@@ -45,20 +49,20 @@ def load_avatar(path: str | Path, rig: Rig, *, rig_file: str | Path | None = Non
     """
     path = Path(path)
     with reading(f"avatar {path}", AvatarError):
-        avatar = _load(path, rig, rig_file)
+        avatar = _load(path, rig, rig_file=rig_file, bones=bones)
     for warning in avatar.warnings:
         warnings.warn(sentence(f"avatar {path}: {warning}"), AvatarWarning, stacklevel=2)
     return avatar
 
 
-def _load(path: Path, rig: Rig, rig_file: str | Path | None) -> Avatar:
+def _load(path: Path, rig: Rig, **skeleton: str | Path | None) -> Avatar:
     suffix = path.suffix.lower()
     if suffix not in GLTF_SUFFIXES + MESH_SUFFIXES:
         allowed = ", ".join(GLTF_SUFFIXES + MESH_SUFFIXES)
         raise ContentError(f"the extension {shown(path.suffix)} is unknown; allowed: {allowed}")
     try:
         if suffix in GLTF_SUFFIXES:
-            return load_gltf(path, rig, rig_file=rig_file)
-        return load_mesh(path, rig, rig_file=rig_file)
+            return load_gltf(path, rig, **skeleton)
+        return load_mesh(path, rig, **skeleton)
     except RigError as error:
         raise AvatarError(str(error)) from error

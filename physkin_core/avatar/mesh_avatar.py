@@ -42,12 +42,14 @@ LARGEST_ASYMMETRY = 0.03
 """Mean distance between a surface and its mirror image, as a share of the size, of what has a left and a right."""
 
 
-def load_mesh(path: Path, rig: Rig, *, rig_file: str | Path | None = None) -> Avatar:
+def load_mesh(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read an OBJ, PLY or STL file. Raises AvatarError (see `physkin_core.load_avatar`)."""
-    return retarget_plain_mesh(_read_surface(path), rig, path=path, rig_file=rig_file, up="Z")
+    return retarget_plain_mesh(_read_surface(path), rig, path=path, rig_file=rig_file, bones=bones, up="Z")
 
 
-def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str | Path | None, up: str) -> Avatar:
+def retarget_plain_mesh(
+    surface: Surface, rig: Rig, *, path: Path, rig_file: str | Path | None, bones: str | Path | None, up: str
+) -> Avatar:
     """Bind a mesh without a skin. up: its usual axis; a warning says when another is assumed."""
     source, beside = str(path), f"{path.stem}.rig.json"
     chosen = Path(rig_file) if rig_file is not None else None
@@ -76,13 +78,13 @@ def retarget_plain_mesh(surface: Surface, rig: Rig, *, path: Path, rig_file: str
     if not description.bones:
         check_size(vertices, source)
         fitted = _fitted(vertices, faces, rig, source, **parts)
-        return retarget(replace(fitted, **origin), rig)
-    bones, weights = attributes or (np.zeros((len(vertices), 1), dtype=np.int64), np.ones((len(vertices), 1)))
+        return retarget(replace(fitted, **origin), rig, bones=bones)
+    influences = attributes or (np.zeros((len(vertices), 1), dtype=np.int64), np.ones((len(vertices), 1)))
     names, parents, heads, tails = zip(*description.bones)
     joints = (names, np.array(parents), np.array(heads) @ to_root.T, np.array(tails) @ to_root.T)
     _check_bones_lie_in_mesh(vertices, joints[2], chosen)
-    mesh = SkinnedMesh(vertices, faces, *joints, bones, weights, source, **parts, **origin)
-    return retarget(mesh if attributes else _with_template_weights(mesh, rig), rig)
+    mesh = SkinnedMesh(vertices, faces, *joints, *influences, source, **parts, **origin)
+    return retarget(mesh if attributes else _with_template_weights(mesh, rig), rig, bones=bones)
 
 
 def _check_bones_lie_in_mesh(vertices: np.ndarray, heads: np.ndarray, rig_file: Path | None) -> None:

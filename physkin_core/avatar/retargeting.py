@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -32,12 +33,12 @@ JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 LIKELY_COEFFICIENT = 3.0
 
 
-def retarget(mesh: SkinnedMesh, rig: Rig) -> Avatar:
-    """Canonical pose, root at the origin, bones and influences of `rig`.
+def retarget(mesh: SkinnedMesh, rig: Rig, *, bones: str | Path | None = None) -> Avatar:
+    """Canonical pose, root at the origin, bones and influences of `rig`. bones: as of `load_avatar`.
 
     Raises AvatarError when required joints are missing, a limb has no length or the height is implausible.
     """
-    mesh, skeleton = identify_bones(mesh, rig)
+    mesh, skeleton = identify_bones(mesh, rig, bones)
     bone_joint = skeleton.joints
     mesh = turn_upright(mesh, bone_joint, rig)
     mesh = _canonical(mesh, bone_joint, rig)

@@ -12,14 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.body_parts import bare_parts
-from physkin_core.avatar.loading import load_avatar
 from physkin_core.check.advice import OutfitCheck, reason_and_advice
 from physkin_core.check.garment_check import check_garment
 from physkin_core.check.likeness import body_overlap, likeness
 from physkin_core.check.sight import hole_percent
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.outfit.outfit import Outfit
-from physkin_core.outfit.outfit_options import add_options, chosen_garments, print_warnings
+from physkin_core.outfit.outfit_options import add_options, chosen_avatar, chosen_garments, print_warnings
 from physkin_core.output_file import check_folder
 from physkin_core.separation.limb_separator import bind_limbs
 
@@ -34,7 +33,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin check`."""
     parser = argparse.ArgumentParser(prog="physkin check", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, OBJ, PLY or STL file")
-    add_options(parser, "garment", "tucked", "own-clothes", "rig", "fit", "separate-limbs")
+    add_options(parser, "garment", "tucked", "own-clothes", "rig", "bones", "fit", "separate-limbs")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PNG", help="picture of four everyday poses, from the front and the back"
@@ -50,7 +49,7 @@ def main(argv: list[str]) -> int:
             check_folder(file)
     garments = chosen_garments(options.garment, options.tucked)
     rig = garments[0].model.rig
-    avatar = load_avatar(options.avatar, rig, rig_file=options.rig)
+    avatar = chosen_avatar(options, rig)
     outfit = Outfit(garments, avatar, fit=options.fit, own_clothes=options.own_clothes)
     poses, downs = everyday_poses(rig)
     if options.separate_limbs:

@@ -34,7 +34,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
-    add_options(parser, "sway", "wind")
+    add_options(parser, "source-rate", "sway", "wind")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
         "--materials",

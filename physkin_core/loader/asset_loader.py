@@ -53,13 +53,15 @@ class AssetLoader:
         return_memory()
         return outfit, loaded
 
-    def avatar(self, body: str | Path, *, rig_file: str | Path | None = None) -> LoadedAvatar:
+    def avatar(
+        self, body: str | Path, *, rig_file: str | Path | None = None, bones: str | Path | None = None
+    ) -> LoadedAvatar:
         """A body bound to the body model's rig."""
-        return self._worker.ask(AvatarRequest(str(body), str(rig_file or "")), str(body))
+        return self._worker.ask(AvatarRequest(str(body), str(rig_file or ""), str(bones or "")), str(body))
 
-    def motion(self, motion: str | Path) -> Motion:
-        """A motion, as `load_motion` reads it."""
-        return self._worker.ask(MotionRequest(str(motion)), str(motion))
+    def motion(self, motion: str | Path, **settings: str | float | None) -> Motion:
+        """A motion, as `load_motion` reads it with these settings."""
+        return self._worker.ask(MotionRequest(str(motion), **settings), str(motion))
 
     def cancel(self) -> None:
         """Let a request that is being answered fail at once."""

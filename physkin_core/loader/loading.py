@@ -54,11 +54,11 @@ class Loading:
                 case OutfitRequest():
                     return self._outfit(request)
                 case AvatarRequest():
-                    avatar = load_avatar(request.body, load_body_model().rig, rig_file=request.rig_file or None)
+                    avatar = load_avatar(request.body, load_body_model().rig, **_skeleton_files(request))
                     avatar = replace(avatar, clothes=()).with_accessories()
                     return LoadedAvatar(avatar, avatar_colours(avatar))
                 case MotionRequest():
-                    return load_motion(request.motion)
+                    return load_motion(request.motion, bones=request.bones, source_rate_hz=request.source_rate_hz)
             raise TypeError(f"{type(request).__name__} is no request")
         finally:
             return_memory()
@@ -71,14 +71,14 @@ class Loading:
             for (model, _), garment in zip(models, request.garments)
         ]
         body = Path(request.body)
-        with _unchanged(_files_of(body, request.rig_file)) as body_digest:
+        with _unchanged(_files_of(body, **_skeleton_files(request))) as body_digest:
             with_fabric = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
             key = _digest(repr((body_digest, with_fabric, request.hide_covered, request.own_clothes)).encode())
             bound = self._kept.get(key)
             if cached := bound is not None:
                 bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name
             else:
-                avatar = self._avatar(body, request.rig_file, body_digest, models[0][0])
+                avatar = self._avatar(request, body_digest, models[0][0])
                 bound = bind_outfit(worn, avatar, hide_covered=request.hide_covered, own_clothes=request.own_clothes)
                 bound = bound.without_networks()
         if not cached:
@@ -104,14 +104,14 @@ class Loading:
             self._keep(key, model)
         return model, key
 
-    def _avatar(self, body: Path, rig_file: str, digest: str, model: GarmentModel) -> Avatar:
+    def _avatar(self, request: OutfitRequest, digest: str, model: GarmentModel) -> Avatar:
         """The body in the canonical pose of the model's rig. digest: of its files."""
         key = "avatar", digest, repr(model.rig.to_json())
         avatar = self._kept.get(key)
         if avatar is None:
-            avatar = load_avatar(body, model.rig, rig_file=rig_file or None)
+            avatar = load_avatar(Path(request.body), model.rig, **_skeleton_files(request))
             self._keep(key, avatar)
-        return replace(avatar, source=str(body))
+        return replace(avatar, source=request.body)
 
     def _limbs(self, outfit: str, bound: BoundOutfit) -> BoundLimbs:
         key = "limbs", outfit
@@ -135,9 +135,14 @@ def _splats(points: str, bound: BoundOutfit) -> tuple[SplatsOnOutfit | None, str
         return None, str(error)
 
 
-def _files_of(body: Path, rig_file: str) -> list[Path]:
-    """Everything that a body is read from: the mesh, its rig file, and the buffers beside a .gltf."""
-    files = [body, Path(rig_file) if rig_file else body.with_suffix(".rig.json")]
+def _skeleton_files(request: OutfitRequest | AvatarRequest) -> dict[str, str | None]:
+    """As of `load_avatar`."""
+    return {"rig_file": request.rig_file or None, "bones": request.bones or None}
+
+
+def _files_of(body: Path, rig_file: str | None, bones: str | None) -> list[Path]:
+    """Everything that a body is read from: the mesh, its rig and bones file, and the buffers beside a .gltf."""
+    files = [body, Path(rig_file or body.with_suffix(".rig.json")), Path(bones or body.with_suffix(".bones.json"))]
     if body.suffix.lower() == ".gltf":
         files += sorted(body.parent.glob("*.bin"))
     return files

@@ -29,7 +29,7 @@ class GarmentRequest:
 
 @dataclass(frozen=True)
 class OutfitRequest:
-    """garments: from the skin outwards, to be put on the body of a file; rig_file: empty for none. hide_covered,
+    """garments: from the skin outwards, to be put on the body of a file; rig_file, bones: empty for none. hide_covered,
     own_clothes: as of `Outfit`. limbs: fit a collision shape, too. points: file of splats on one of the garments, empty
     for none. colours: of the body's own materials, too. known: keys of outfits that need not be sent again.
     """
@@ -37,6 +37,7 @@ class OutfitRequest:
     garments: tuple[GarmentRequest, ...]
     body: str
     rig_file: str = ""
+    bones: str = ""
     hide_covered: bool = True
     own_clothes: OwnClothes = "replace"
     limbs: bool = False
@@ -63,10 +64,11 @@ class LoadedOutfit:
 
 @dataclass(frozen=True)
 class AvatarRequest:
-    """The body of a file, bound to the body model's rig; rig_file: empty for none."""
+    """The body of a file, bound to the body model's rig; rig_file, bones: empty for none."""
 
     body: str
     rig_file: str = ""
+    bones: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,3 +85,5 @@ class MotionRequest:
     """A motion, as `load_motion` takes it."""
 
     motion: str
+    bones: str | None = None
+    source_rate_hz: float | None = None

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.motion.mocap_files import Skeleton
+from physkin_core.motion.source_clip import SourceClip
 
 __all__ = ["calibration_frames"]
 
@@ -31,18 +31,18 @@ BLEND_STEPS = 8  # a jump is blended into the motion over at most as many
 CALM_SPEED = np.radians(120)  # [rad/s] up to which a step is motion, however still the joint is afterwards
 
 
-def calibration_frames(source: Skeleton, joints: Mapping[str, int]) -> tuple[int, list[str]]:
+def calibration_frames(source: SourceClip, joints: Mapping[str, int]) -> tuple[int, list[str]]:
     """How many frames calibration poses take, those that blend into the motion included, and which limbs hold them.
 
     joints: index of each joint named in `LIMBS`.
     """
     opening = source.at(slice(round(LONGEST * source.rate_hz) + 3 * BLEND_STEPS))
-    rotations, _ = opening.posed(joints[part] for _, parts in LIMBS.values() for part in parts)
+    rotations = {part: opening.turned(joints[part]) for _, parts in LIMBS.values() for part in parts}
     speeds, ends = [], {}
     for limb, (carrier, parts) in LIMBS.items():
-        carried_by = rotations[joints[carrier]].inv() if carrier else Rotation.identity(opening.frame_count)
+        carried_by = rotations[carrier].inv() if carrier else Rotation.identity(opening.frame_count)
         for part in parts:
-            turn = carried_by * rotations[joints[part]]
+            turn = carried_by * rotations[part]
             speed = (turn[:-1].inv() * turn[1:]).magnitude() * source.rate_hz
             first_out = int(((turn[0].inv() * turn).magnitude() > HELD).argmax())
             if first_out and speed[first_out - 1 :][:JUMP_STEPS].max() > JUMP_SPEED:

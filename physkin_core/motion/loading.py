@@ -1,4 +1,4 @@
-"""Loading motion: a bundled clip, a clip file, motion capture, or a bag.
+"""Loading motion: a bundled clip, a file that `save_motion` wrote, a clip of any skeleton, or a bag.
 
 A clip is one safetensors file. It stays in single precision: half precision would move a hand by half a millimetre from
 frame to frame, which is as much as cloth does between two frames.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.extras import install_command
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
+from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip, split_clip_name
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
+from physkin_core.rig.bones_file import read_bones_file
 from physkin_core.tensor_file import read_tensors
 
-__all__ = ["MOCAP_SUFFIXES", "MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
+__all__ = ["MOTIONS_DIRECTORY", "bundled_motions", "load_motion", "save_motion"]
 
-MOCAP_SUFFIXES = (".bvh", ".amc")
 BAG_SUFFIXES = (".mcap", ".db3")
 ARRAYS = ("positions", "root_orientation", "root_position")
 MOTIONS_DIRECTORY = Path(__file__).parents[1] / "assets" / "motions"
@@ -37,14 +39,24 @@ def bundled_motions() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in MOTIONS_DIRECTORY.glob("*.safetensors")))
 
 
-def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) -> Motion:
+def load_motion(
+    path_or_name: str | Path,
+    *,
+    bones: str | Path | None = None,
+    source_rate_hz: float | None = None,
+    watch: Watch = lambda share: None,
+) -> Motion:
     """Read a motion.
 
     Args:
-        path_or_name: the name of an included motion (`bundled_motions`); motion capture, .bvh or .amc, which is
-            retargeted to the default rig; a bag with joint states, .mcap, .db3 or a folder with `metadata.yaml`; or a
-            file that `save_motion` wrote.
-        watch: called while motion capture is read, with the fraction read so far, 0 to 1.
+        path_or_name: the name of an included motion (`bundled_motions`); a clip of any human skeleton, which is
+            retargeted to the default rig: .bvh, .amc, .vrma, SMPL's .npz, or .glb, .gltf and .vrm, whose first clip is
+            taken or, with `me.glb#Walk` or `me.glb#2`, another; a bag with joint states, .mcap, .db3 or a folder with
+            `metadata.yaml`; or a file that `save_motion` wrote.
+        bones: which joint is which bone, a JSON file (docs/avatars.md#bones-file). None: `NAME.bones.json` beside
+            `NAME.bvh`, if it exists.
+        source_rate_hz: at which a clip was recorded, where its file has no rate or a wrong one. None: what it says.
+        watch: called while a clip is retargeted, with the fraction done so far, 0 to 1.
 
     Returns:
         The motion.
@@ -59,30 +71,37 @@ def load_motion(path_or_name: str | Path, *, watch: Watch = lambda share: None) 
         (60.0, (77, 52))
     """
     path = Path(path_or_name)
-    if path.suffix.lower() in MOCAP_SUFFIXES:
-        from physkin_core.motion.mocap import load_mocap
-
-        return load_mocap(path, load_body_model().rig, watch=watch)[0]
+    if split_clip_name(path)[0].suffix.lower() in CLIP_SUFFIXES:
+        return load_clip(path, load_body_model().rig, bones=bones, source_rate_hz=source_rate_hz, watch=watch)[0]
+    if source_rate_hz is not None:
+        raise MotionError(f"source_rate_hz is for clips of {', '.join(CLIP_SUFFIXES)}; {path} has its own times")
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file():
-        return _read_bag(path)
+        return _read_bag(path, bones)
+    if bones is not None:
+        raise MotionError(f"bones are for files of others; {path} has the rig's own names")
     if path.suffix != ".safetensors":
         if str(path_or_name) not in bundled_motions():
+            allowed = ", ".join((".safetensors", *CLIP_SUFFIXES, *BAG_SUFFIXES))
             raise MotionError(
                 f"no bundled motion {str(path_or_name)!r}; there are {', '.join(bundled_motions())} "
-                "(a clip of your own: give the path of its .safetensors, .bvh, .amc, .mcap or .db3 file, or of a bag's "
-                "folder)"
+                f"(a clip of your own: give the path of its file, {allowed}, or of a bag's folder)"
             )
         path = MOTIONS_DIRECTORY / f"{path_or_name}.safetensors"
     with reading(f"motion file {path}", MotionError):
         return _read(path)
 
 
-def _read_bag(path: Path) -> Motion:
+def _read_bag(path: Path, bones: str | Path | None) -> Motion:
     try:
         from physkin_core.motion.bag_motion import load_bag_motion
     except ModuleNotFoundError as error:
         raise MotionError(f"cannot read bag {path}: {error}; bags need: {install_command('replay')}") from error
-    return load_bag_motion(path)
+    motion, rig = load_bag_motion(path), load_body_model().rig
+    with reading(f"bag {path}", MotionError):
+        by_hand = read_bones_file(bones, path, rig.joint_names, motion.joint_names)
+    renamed = {number: joint for joint, number in by_hand.items()}
+    names = (renamed.get(number, joint) for number, joint in enumerate(motion.joint_names))
+    return replace(motion, joint_names=tuple(names))
 
 
 def _read(path: Path) -> Motion:

@@ -1,202 +1,32 @@
-"""Motion capture files, BVH and ASF/AMC, as motion of the default rig.
-
-Which way the skeleton looks is read off its hips and spine at rest, or, where its rest is no standing body, in the
-clip's most upright frame. Elbow and knee axes are those about which the clip bends them, as files do not agree on where
-arms and palms are at rest.
-
-Dimensions: `T` frames, `J` joints. Offsets in the file's own unit: a clip is scaled by the length of its legs.
-"""
+"""Motion capture files, BVH and ASF/AMC, as clips."""
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
-import numpy as np
-from scipy.spatial.transform import Rotation
+from physkin_core.file_reading import LARGEST_FILE, read_bytes, reading
+from physkin_core.motion.mocap_files import read_amc, read_bvh
+from physkin_core.motion.motion import MotionError
+from physkin_core.motion.source_clip import SourceClip
 
-from physkin_core.avatar.body_model import load_body_model
-from physkin_core.file_reading import LARGEST_FILE, ContentError, read_bytes, reading
-from physkin_core.motion.calibration_pose import calibration_frames
-from physkin_core.motion.mocap_files import Skeleton, read_amc, read_bvh
-from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
-from physkin_core.motion.retargeting import leg_length, on_floor, retarget
-from physkin_core.progress import Watch
-from physkin_core.rig.human_skeleton import find_human_skeleton
-from physkin_core.rig.rig import Rig
-
-__all__ = ["AMC_RATE_HZ", "find_joints", "load_mocap"]
-
-log = logging.getLogger(__name__)
+__all__ = ["AMC_RATE_HZ", "read_mocap"]
 
 AMC_RATE_HZ = 120.0
 """An AMC file does not state its rate; this is that of the CMU database."""
-RATE_HZ = 60.0
 LARGEST_SKELETON = 1 << 22
 """[bytes] of an ASF file: that of 1,000 bones has some hundred thousand."""
 
-HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
-RAISED = 0.5  # cosine to the vertical from which on a limb or the trunk stands
-PARTS = {"hip": "upperleg01", "knee": "lowerleg01", "ankle": "foot"}
-PARTS |= {"shoulder": "upperarm01", "elbow": "lowerarm01", "wrist": "wrist"}
-"""The rig's bone that begins at a joint of a limb."""
 
-
-def load_mocap(
-    path: str | Path,
-    rig: Rig,
-    *,
-    skeleton: str | Path | None = None,
-    source_rate_hz: float = AMC_RATE_HZ,
-    watch: Watch = lambda share: None,
-) -> tuple[Motion, dict[str, float]]:
-    """Read a .bvh or .amc file as motion of the default rig at 60 Hz, standing on the floor and facing X at first.
-
-    rig: the default one. skeleton: the .asf of an .amc; None: `02.asf` for `02_02.amc`. source_rate_hz: of an .amc.
-    watch: told the share done. Frames of a calibration pose before the motion are left out, with a warning.
-    Also returns the mean angle [degrees] between a bone's direction and the source's, by rig bone.
-    Raises MotionError: unreadable, malformed, or a limb that is not recognised.
-    """
-    path = Path(path)
-    if not 0 < source_rate_hz < np.inf:
-        raise MotionError(f"source_rate_hz must be positive and finite, got {source_rate_hz}")
-    with reading(f"motion capture file {path}", MotionError):
-        source = _read(path, skeleton, source_rate_hz)
-        if source.frame_count / source.rate_hz * RATE_HZ > MOST_FRAMES:
-            seconds = source.frame_count / source.rate_hz
-            raise ContentError(f"it lasts {seconds:.3g} s, allowed are {MOST_FRAMES / RATE_HZ:.0f} s; cut it")
-        joints, remarks = find_joints(source)
-        for remark in remarks:
-            log.warning("%s: %s", path, remark)
-        calibration, limbs = calibration_frames(source, joints)
-        if calibration:
-            log.warning(
-                "%s: its first %d frames are left out: a calibration pose (%s)", path, calibration, ", ".join(limbs)
-            )
-            source = source.at(slice(calibration, None))
-        source = source.at(slice(None, None, max(1, round(source.rate_hz / RATE_HZ))))
-        rotations, positions, leg = _hanging(source, joints)
-    joint_positions, report = retarget(rig, rotations, watch=watch)
-    report.pop("at_limit")
-    root = rotations["root"]
-    forward = root[0].apply([1.0, 0.0, 0.0])
-    ahead = Rotation.from_euler("z", -np.arctan2(forward[1], forward[0]))
-    positions = ahead.apply(positions - positions[0] * [1, 1, 0]) * (leg_length(rig) / leg)
-    motion = Motion(rig.joint_names, joint_positions, (ahead * root).as_quat(), positions, source.rate_hz, path.stem)
-    return on_floor(motion.resampled(RATE_HZ)), {bone: mean for bone, (mean, _) in report.items()}
-
-
-def _read(path: Path, skeleton: str | Path | None, source_rate_hz: float) -> Skeleton:
+def read_mocap(path: Path, *, skeleton: str | Path | None = None) -> SourceClip:
+    """Read a .bvh file, or an .amc as if recorded at `AMC_RATE_HZ`. skeleton: the .asf of an .amc; None: `02.asf` for
+    `02_02.amc`. Raises MotionError, and what `read_bvh` and `read_amc` raise."""
     if path.suffix.lower() == ".bvh":
-        return read_bvh(_text(path))
+        return read_bvh(_text(path)).clip()
     asf = Path(skeleton) if skeleton else path.with_name(f"{path.stem.split('_')[0]}.asf")
     with reading(f"skeleton {asf}", MotionError):
         bones = _text(asf, LARGEST_SKELETON)
-    return read_amc(_text(path), bones, source_rate_hz)
+    return read_amc(_text(path), bones, AMC_RATE_HZ).clip()
 
 
 def _text(path: Path, most: int = LARGEST_FILE) -> str:
     return read_bytes(path, most=most).decode().replace("\r\n", "\n").replace("\r", "\n")
-
-
-def _hanging(source: Skeleton, joint: dict[str, int]) -> tuple[dict[str, Rotation], np.ndarray, float]:
-    """What `retarget` wants: rotations by its joints; also root positions (T, 3) Z up and the length of a leg."""
-    posed, heads = source.posed(joint.values())
-    posed = {part: posed[index] for part, index in joint.items()}
-    rest = source.at_rest()
-    at_rest = {part: rest[index] for part, index in joint.items()}
-    if not _stands(at_rest):
-        posed, at_rest = _from_upright(posed, {part: heads[index] for part, index in joint.items()})
-    up = _nearest_axis(at_rest["neck"] - at_rest["root"])
-    left = _nearest_axis(at_rest["hip.L"] - at_rest["hip.R"])
-    turn = np.stack([np.cross(left, up), left, up])  # ours <- source
-    to_ours = Rotation.from_matrix(turn)
-    at_rest = {part: turn @ head for part, head in at_rest.items()}
-    turned = {part: to_ours * rotation * to_ours.inv() for part, rotation in posed.items()}
-
-    rotations = {part: turned[part] for part in ("root", "chest", "neck", "ankle.L", "ankle.R")}
-    for side in "LR":
-        # elbows bend forwards, knees backwards: about -Y and +Y of a limb that hangs
-        for first, second, end, sense in (("shoulder", "elbow", "wrist", -1), ("hip", "knee", "ankle", 1)):
-            limb = [at_rest[f"{part}.{side}"] for part in (first, second, end)]
-            upper, lower = limb[1] - limb[0], limb[2] - limb[1]
-            above = turned[f"{first}.{side}"]
-            along = [above.apply(_unit(upper)), turned[f"{second}.{side}"].apply(_unit(lower))]
-            seen = above.inv().apply(sense * np.cross(along[0], along[1])).mean(axis=0)
-            guess = Rotation.align_vectors([_unit(upper)], [[0.0, 0.0, -1.0]])[0].apply([0.0, 1.0, 0.0])
-            hinge = above.apply(_unit(seen + HINGE_GUESS * guess))
-            for part, direction in zip((first, second), along):
-                axis = hinge - direction * (hinge * direction).sum(axis=1, keepdims=True)
-                axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
-                columns = [np.cross(axis, -direction), axis, -direction]  # images of X, Y, Z
-                rotations[f"{part}.{side}"] = Rotation.from_matrix(np.stack(columns, axis=-1))
-    legs = [at_rest[f"{part}.L"] for part in ("hip", "knee", "ankle")]
-    length = float(np.linalg.norm(legs[1] - legs[0]) + np.linalg.norm(legs[2] - legs[1]))
-    return rotations, heads[joint["root"]] @ turn.T, length
-
-
-def _stands(heads: dict[str, np.ndarray]) -> bool:
-    """Whether joints (3,) are those of a body on its legs, up being an axis."""
-    up = _nearest_axis(heads["neck"] - heads["root"])
-    legs = [heads[f"hip.{side}"] - heads[f"ankle.{side}"] for side in "LR"]
-    return all(_unit(part) @ up > RAISED for part in (heads["neck"] - heads["root"], *legs))
-
-
-def _from_upright(
-    posed: dict[str, Rotation], heads: dict[str, np.ndarray]
-) -> tuple[dict[str, Rotation], dict[str, np.ndarray]]:
-    """Rotations (T) from the clip's most upright frame, turned to look along an axis, and joints (3,) in it.
-
-    Stands in for the rest of files whose offsets lie along the bones, whichever way these point.
-    """
-    trunk = heads["neck"] - heads["root"]
-    up = _nearest_axis(trunk.mean(axis=0))
-    pairs = (("hip", "knee"), ("knee", "ankle"))
-    bones = [heads[f"{above}.{side}"] - heads[f"{below}.{side}"] for side in "LR" for above, below in pairs]
-    upright = sum((bone / np.linalg.norm(bone, axis=1, keepdims=True)) @ up for bone in (trunk, trunk, *bones))
-    frame = int(np.argmax(upright))
-    left = heads["hip.L"][frame] - heads["hip.R"][frame]
-    left -= up * (left @ up)
-    ahead = Rotation.align_vectors([_nearest_axis(left), up], [_unit(left), up])[0]
-    turned = {part: rotation * rotation[frame].inv() * ahead.inv() for part, rotation in posed.items()}
-    return turned, {part: ahead.apply(head[frame] - heads["root"][frame]) for part, head in heads.items()}
-
-
-def _nearest_axis(vector: np.ndarray) -> np.ndarray:
-    axis = np.zeros(3)
-    largest = np.abs(vector).argmax()
-    axis[largest] = np.sign(vector[largest])
-    return axis
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / max(float(np.linalg.norm(vector)), 1e-12)
-
-
-def find_joints(skeleton: Skeleton) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Joint index of `root`, `chest`, `neck`, and `hip`, `knee`, `ankle`, `shoulder`, `elbow`, `wrist` with `.L`, `.R`;
-    and what was assumed.
-
-    Pelvis and chest are where legs and arms branch. Raises ContentError for a part that no joint was recognised as.
-    """
-    names = [joint.name for joint in skeleton.joints]
-    parents = np.array([joint.parent for joint in skeleton.joints])
-    rig = load_body_model().rig
-    human = find_human_skeleton(names, parents, skeleton.at_rest(), rig)
-    if human.missing:
-        raise ContentError(human.refusal(names, rig))
-    found = {f"{part}.{side}": human.joints[f"{bone}.{side}"] for part, bone in PARTS.items() for side in "LR"}
-    top = next((human.joints[bone] for bone in ("head", "neck01") if bone in human.joints), None)
-    if top is None:
-        raise ContentError(f"it has no joint for neck or head; joints are {', '.join(names)}")
-    found["neck"] = top
-    found["root"] = _branching(skeleton, found["hip.L"], found["hip.R"])
-    found["chest"] = _branching(skeleton, found["shoulder.L"], found["shoulder.R"])
-    if found["chest"] == human.joints.get("neck01"):  # 3ds Max's bipeds hang their collarbones on it
-        found["chest"] = skeleton.joints[found["chest"]].parent
-    return found, human.remarks(names)
-
-
-def _branching(skeleton: Skeleton, first: int, second: int) -> int:
-    """The last joint that carries both."""
-    return max(set(skeleton.ancestors(first)) & set(skeleton.ancestors(second)))

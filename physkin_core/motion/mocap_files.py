@@ -5,20 +5,18 @@ Dimensions: `T` frames, `J` joints. Lengths in the file's own unit, angles in de
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, shown
-from physkin_core.rig.rig import ancestors
+from physkin_core.motion.source_clip import MOST_JOINTS, SourceClip, posed_clip
 
 __all__ = ["Joint", "Skeleton", "read_amc", "read_bvh"]
 
 NO_TURN = Rotation.identity()
-MOST_JOINTS = 1000
-"""A skeleton with fingers and a face has a hundred or two."""
 FRAME_TIMES = (1e-5, 10.0)  # [s]
 
 
@@ -39,6 +37,12 @@ class Joint:
     places: np.ndarray | None = None
     axes: Rotation = NO_TURN
 
+    def turns(self) -> Rotation:
+        """(T) on the parent."""
+        if not self.order:
+            return Rotation.identity(len(self.angles))
+        return self.axes * Rotation.from_euler(self.order, self.angles, degrees=True) * self.axes.inv()
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -47,47 +51,12 @@ class Skeleton:
     joints: tuple[Joint, ...]
     rate_hz: float
 
-    @property
-    def frame_count(self) -> int:
-        """Number of frames T."""
-        return len(self.joints[0].angles)
-
-    def ancestors(self, joint: int) -> list[int]:
-        """Indices from the root to the joint itself."""
-        return ancestors([each.parent for each in self.joints], joint)[::-1]
-
-    def at(self, frames: slice) -> Skeleton:
-        """With some of the frames only; the rate follows the step between them."""
-        joints = tuple(
-            replace(each, angles=each.angles[frames], places=None if each.places is None else each.places[frames])
-            for each in self.joints
-        )
-        return Skeleton(joints, self.rate_hz / (frames.step or 1))
-
-    def posed(self, wanted: Iterable[int]) -> tuple[dict[int, Rotation], dict[int, np.ndarray]]:
-        """Rotations (T) from rest and places (T, 3) in the world, of joints and all their ancestors."""
-        rotations: dict[int, Rotation] = {}
-        heads: dict[int, np.ndarray] = {}
-        for index in sorted({each for joint in wanted for each in self.ancestors(joint)}):
-            joint = self.joints[index]
-            turn = Rotation.identity(self.frame_count)
-            if joint.order:
-                turn = joint.axes * Rotation.from_euler(joint.order, joint.angles, degrees=True) * joint.axes.inv()
-            offset = np.tile(joint.offset, (self.frame_count, 1)) if joint.places is None else joint.places
-            if joint.parent < 0:
-                rotations[index], heads[index] = turn, offset
-            else:
-                rotations[index] = rotations[joint.parent] * turn
-                heads[index] = heads[joint.parent] + rotations[joint.parent].apply(offset)
-        return rotations, heads
-
-    def at_rest(self) -> np.ndarray:
-        """(J, 3) places of the joints with no rotation, from the root."""
-        heads = np.zeros((len(self.joints), 3))
-        for index, joint in enumerate(self.joints):
-            if joint.parent >= 0:
-                heads[index] = heads[joint.parent] + joint.offset
-        return heads
+    def clip(self) -> SourceClip:
+        """All joints, posed. Raises ContentError for a clip that is too long or too large."""
+        names, parents, offsets = zip(*((each.name, each.parent, each.offset) for each in self.joints))
+        places = {index: each.places for index, each in enumerate(self.joints) if each.places is not None}
+        count = len(self.joints[0].angles)
+        return posed_clip(names, parents, offsets, (each.turns() for each in self.joints), places, count, self.rate_hz)
 
 
 def read_bvh(text: str) -> Skeleton:

@@ -8,22 +8,26 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.model.model_file import load_garment_model, split_fabric
-from physkin_core.motion.loading import load_motion
+from physkin_core.motion.loading import bundled_motions, load_motion
 from physkin_core.motion.motion import Motion
 from physkin_core.outfit.coverage import OWN_CLOTHES
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.progress import progress_line
+from physkin_core.rig.rig import Rig
 from physkin_core.runtime.layer import WornGarment
 
 __all__ = [
     "add_avatar_options",
     "add_options",
     "add_outfit_options",
+    "chosen_avatar",
     "chosen_garments",
     "dressed",
     "named_garments",
+    "motion_settings",
     "print_warnings",
     "read_motion",
     "the_garment",
@@ -34,6 +38,15 @@ DEFAULT = "tshirt"
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "rig": {"metavar": "FILE", "help": "rig file of an avatar without a skeleton"},
+    "bones": {
+        "metavar": "FILE",
+        "help": "which joint is which bone, in files that are not PhySkin's own (default: NAME.bones.json beside each)",
+    },
+    "source-rate": {
+        "type": float,
+        "metavar": "HZ",
+        "help": "rate at which a motion file's clip was recorded (default: what the file says, 120 for an .amc)",
+    },
     "own-clothes": {
         "choices": OWN_CLOTHES,
         "default": OWN_CLOTHES[0],
@@ -83,11 +96,11 @@ def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAUL
 
 
 def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:
-    """Add `--avatar` and `--rig`. made_on: of a garment that is no model yet: None then stands for the body that
-    shipped ones were made on; else the bundled one is the default."""
+    """Add `--avatar`, `--rig` and `--bones`. made_on: of a garment that is no model yet: None then stands for the body
+    that shipped ones were made on; else the bundled one is the default."""
     default, said = (None, "that of the shipped garments") if made_on else (BUNDLED_AVATAR, "the bundled one")
     parser.add_argument("--avatar", metavar="AVATAR", default=default, help=f"avatar file (default: {said})")
-    add_options(parser, "rig")
+    add_options(parser, "rig", "bones")
 
 
 def add_outfit_options(parser: argparse.ArgumentParser) -> None:
@@ -124,6 +137,12 @@ def chosen_garments(names: Sequence[str] | None, tucked: Sequence[str]) -> list[
     ]
 
 
+def chosen_avatar(options: argparse.Namespace, rig: Rig) -> Avatar:
+    """The avatar of a command, the bundled one where none is named. Raises as `load_avatar`."""
+    file = options.avatar or BUNDLED_AVATAR
+    return load_avatar(file, rig, rig_file=options.rig, bones=None if file == BUNDLED_AVATAR else options.bones)
+
+
 def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bool = False) -> Outfit:
     """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
 
@@ -135,7 +154,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
         garments = [
             replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
         ]
-    avatar = load_avatar(options.avatar, garments[0].model.rig, rig_file=options.rig)
+    avatar = chosen_avatar(options, garments[0].model.rig)
     hide_covered, own_clothes = not (for_engines or whole), getattr(options, "own_clothes", OWN_CLOTHES[0])
     outfit = Outfit(garments, avatar, fit=options.fit, hide_covered=hide_covered, own_clothes=own_clothes)
     outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
@@ -149,11 +168,17 @@ def print_warnings(warnings: Sequence[str]) -> None:
         print(f"warning: {warning}", file=sys.stderr)
 
 
+def motion_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """What `load_motion` is told of a command's motion."""
+    is_ours = options.motion in bundled_motions() or options.motion.endswith(".safetensors")
+    return {"bones": None if is_ours else options.bones, "source_rate_hz": options.source_rate}
+
+
 def read_motion(options: argparse.Namespace) -> Motion:
     """The motion that a command is given, at `--rate` where it has that, with a line of progress.
 
     Raises MotionError for what is no motion, ValueError where it has no frame `--frame`."""
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
+    motion = load_motion(options.motion, **motion_settings(options), watch=progress_line(f"reading {options.motion}"))
     if getattr(options, "rate", None) not in (None, motion.rate_hz):
         motion = motion.resampled(options.rate)
     if not 0 <= getattr(options, "frame", 0) < motion.frame_count:

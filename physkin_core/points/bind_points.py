@@ -9,12 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.rig_file import AXES, axes_to_root_frame
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, read_motion
+from physkin_core.outfit.outfit_options import (
+    add_avatar_options,
+    add_options,
+    chosen_avatar,
+    print_warnings,
+    read_motion,
+)
 from physkin_core.output_file import check_other_file
 from physkin_core.points.point_files import POINT_FILES, PointFile, read_points
 from physkin_core.points.splat_draper import SplatDraper
@@ -31,7 +36,7 @@ def command_parser() -> argparse.ArgumentParser:
     kinds = ", ".join(POINT_FILES)
     parser.add_argument("points", metavar="POINTS", type=Path, help=f"points that lie on the garment's mesh: {kinds}")
     add_avatar_options(parser)
-    add_options(parser, "fit")
+    add_options(parser, "fit", "source-rate")
     parser.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")
     frames = parser.add_mutually_exclusive_group()
     frames.add_argument("--frame", type=int, default=0, metavar="K", help="frame of the motion (default %(default)s)")
@@ -64,7 +69,7 @@ def main(argv: list[str]) -> int:
         outputs = {frame: path.with_stem(f"{path.stem}_{frame:04d}") for frame in range(motion.frame_count)}
     for output in outputs.values():
         check_other_file(output, options.points, options.avatar)
-    avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+    avatar = chosen_avatar(options, model.rig)
     try:
         draper, write = _bound(model, avatar, options.fit, file, to_root)
     except ValueError as error:

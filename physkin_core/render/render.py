@@ -47,7 +47,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin render", description=__doc__.split("`: ")[1])
     parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
     add_outfit_options(parser)
-    add_options(parser, "separate-limbs", "sway", "wind")
+    add_options(parser, "source-rate", "separate-limbs", "sway", "wind")
     usual = Camera()
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own, at most 30)"

@@ -11,6 +11,7 @@ Dimensions: `j` joints, `t` triples. Any unit of length; costs that weigh length
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -71,6 +72,8 @@ CLAVICLE = 0.02
 """Least length of a collar bone that its place alone tells."""
 FACING = 0.005
 """Least sum of what feet, or knees and elbows, point forwards."""
+FILE_START = 20
+"""[characters] of a bones file, in an error."""
 LISTED_NAMES = 3
 """Of each kind, in an error."""
 
@@ -116,22 +119,27 @@ class HumanSkeleton:
         return (*((remark,) if taken else ()), *((self.doubt,) if self.doubt else ()))
 
     def refusal(self, names: Sequence[str], rig: Rig) -> str:
-        """Which required bones are missing, which joints were taken for the others, and which for none. First come
-        those that are named for what is missing."""
+        """Which required bones are missing, which joints were taken for the others, and which for none; first come
+        those that are named for what is missing. Last the start of a bones file."""
         taken = [f"{shown(names[joint])} as {bone}" for bone, joint in self.joints.items() if joint < len(names)]
         others = [name for joint, name in enumerate(names) if joint not in self.joints.values()]
         parts = {bone.split(".")[0] for bone in self.missing}
         others = [shown(name) for name in sorted(others, key=lambda name: parts.isdisjoint(read_name(name).bones))]
         return (
             f"no joint for {len(self.missing)} of the {len(required_bones(rig))} rig bones it must have: "
-            f"{_some(self.missing)}; taken: {_some(taken)}; not recognised: {_some(others)}. Name joints as the rig, "
-            "Mixamo, VRM or Unreal do, those of a limb below each other"
+            f"{_some(self.missing)}; taken: {_some(taken, 1)}; not recognised: {_some(others)}. Put joints of a limb "
+            f"below each other, or use --bones: {self.bones_file(names, rig)[:FILE_START]}…"
         )
 
+    def bones_file(self, names: Sequence[str], rig: Rig) -> str:
+        """Text of a bones file of the required bones, in which those that no joint was recognised as are empty."""
+        known = {bone: names[joint] for bone, joint in self.joints.items() if joint < len(names)}
+        return json.dumps({bone: known.get(bone, "") for bone in required_bones(rig)}, ensure_ascii=False)
 
-def _some(texts: Sequence[str]) -> str:
-    more = f" and {len(texts) - LISTED_NAMES} more" if len(texts) > LISTED_NAMES else ""
-    return (", ".join(texts[:LISTED_NAMES]) or "none") + more
+
+def _some(texts: Sequence[str], most: int = LISTED_NAMES) -> str:
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return (", ".join(texts[:most]) or "none") + more
 
 
 def required_bones(rig: Rig) -> tuple[str, ...]:
@@ -154,6 +162,7 @@ def find_human_skeleton(
     rig: Rig,
     *,
     humanoid: Mapping[str, int] | None = None,
+    by_hand: Mapping[str, int] | None = None,
 ) -> HumanSkeleton:
     """Joint by bone of `rig`, as far as names, lengths, symmetry and hierarchy tell.
 
@@ -164,11 +173,16 @@ def find_human_skeleton(
             where no name tells left from right, feet, knees or elbows tell where the skeleton faces.
         rig: the default rig. For one without its limbs, joints of its own names are found only.
         humanoid: joint by VRM humanoid bone; replaces the names where a file has it.
+        by_hand: joint by rig bone, of a bones file; wins over all else.
     """
+    by_hand = by_hand or {}
     if humanoid is not None:
         roles = {joint: role for role, joint in humanoid.items()}
         names = [roles.get(joint, "") for joint in range(len(names))]
     required, names = required_bones(rig), without_common_prefix(names)
+    for bone, joint in by_hand.items():
+        names = ["" if _means(name, bone) else name for name in names]
+        names[joint] = bone
     plain = {plain_name(name): joint for joint, name in reversed(list(enumerate(names)))}
     joints = {bone: plain[plain_name(bone)] for bone in rig.bone_names if plain_name(bone) in plain}
     costs, doubt, told = dict.fromkeys(joints, 0.0), "", True
@@ -176,9 +190,16 @@ def find_human_skeleton(
     if not own_names and all(f"{bone}.{side}" in required for _, bone, side in _limb_bones()):
         tree = _Tree(names, np.asarray(parents), np.asarray(heads, dtype=np.float64))
         joints, doubt, told = _recognised(tree, rig)
+        joints = {bone: joint for bone, joint in joints.items() if joint not in by_hand.values()} | dict(by_hand)
         costs = {bone: float(tree.name_cost(*bone.split("."))[joints[bone]]) for bone in required if bone in joints}
     missing = tuple(bone for bone in required if bone not in joints)
     return HumanSkeleton(joints, costs, missing, own_names, doubt, told)
+
+
+def _means(name: str, bone: str) -> bool:
+    """Whether a joint of this name would be taken for a bone first of all."""
+    (part, _, side), said = bone.partition("."), read_name(name)
+    return said.side == side and said.bones.get(part, CONTRADICTED) == min(said.bones.values(), default=0)
 
 
 def _limb_bones() -> list[tuple[str, str, str]]:

@@ -16,7 +16,7 @@ __all__ = ["Uploads"]
 
 LARGEST, MOST = 256 << 20, 1 << 30
 """[bytes] Of one file, and of all that are kept."""
-COMPANIONS = (".asf", ".rig.json", ".mtl", ".bin")
+COMPANIONS = (".asf", ".rig.json", ".bones.json", ".mtl", ".bin")
 """Ends of the names of files that others need: kept, and read with those."""
 
 

@@ -33,6 +33,7 @@ def main(argv: list[str]) -> int:
     end_at_sigterm()
     made_on = ["--avatar", options.avatar] if options.avatar else []
     made_on += ["--rig", options.rig] if options.rig else []
+    made_on += ["--bones", options.bones] if options.bones and options.avatar else []
     with closing(OwnMeshes(options.garment or WORN, made_on)) as own, closing(AssetLoader()) as loader:
         return _show(options, own.garments, loader)
 
@@ -48,7 +49,9 @@ def _show(options: argparse.Namespace, garments: Sequence[str], loader: AssetLoa
         tucked=options.tucked,
         body=options.avatar or BUNDLED_AVATAR,
         rig_file=options.rig,
+        bones=options.bones,
         motion=motion,
+        source_rate_hz=options.source_rate,
         fit=options.fit,
         own_clothes=options.own_clothes,
         points=options.splats,
@@ -90,7 +93,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin view", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", nargs="?", help="avatar file (default: the bundled one)")
     worn = ", ".join(WORN)
-    add_options(parser, "rig", "own-clothes", "garment", "tucked", "fit", worn=worn)
+    add_options(parser, "rig", "bones", "source-rate", "own-clothes", "garment", "tucked", "fit", worn=worn)
     parser.add_argument("--motion", default="walk", help="bundled motion, motion file or none (default %(default)s)")
     parser.add_argument(
         "--splats", metavar="PLY", help="Gaussian splats that lie on one of the garments; they are drawn instead of it"

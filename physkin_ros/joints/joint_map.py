@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from physkin_core.file_reading import ContentError, read_bytes, read_json, reading, shown
-from physkin_ros.joints.nearest_names import nearest_names
+from physkin_core.rig.nearest_names import nearest_names
 
 __all__ = ["JointMapError", "MappedJoint", "load_joint_map"]
 

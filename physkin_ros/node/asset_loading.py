@@ -18,8 +18,8 @@ from physkin_core.loader.requests import GarmentRequest, OutfitRequest
 from physkin_core.model.fabric import parse_fabric
 from physkin_core.model.model_file import shipped_models, split_fabric
 from physkin_core.points.splats_on_outfit import SplatsOnOutfit
+from physkin_core.rig.nearest_names import nearest_names
 from physkin_core.separation.limb_separator import BoundLimbs
-from physkin_ros.joints.nearest_names import nearest_names
 from physkin_ros.node.settings import AvatarSettings
 
 __all__ = ["AssetError", "AssetRoots", "LoadedWear", "OutfitLoader"]

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from physkin_core import BUNDLED_AVATAR, FrameInput
 from physkin_core.file_reading import sentence, shown
-from physkin_ros.joints.nearest_names import nearest_names
+from physkin_core.rig.nearest_names import nearest_names
 from physkin_ros.messages.topics import BONE_ROTATIONS, DRAPED_JOINT_STATES, JOINT_STATES, WIND
 from physkin_ros.middleware.quality_of_service import FollowingSubscription, stream_quality
 from physkin_ros.node.asset_loading import LoadedWear, OutfitLoader

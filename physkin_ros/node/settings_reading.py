@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from physkin_core.model.model_file import split_fabric
-from physkin_ros.joints.nearest_names import nearest_names
+from physkin_core.rig.nearest_names import nearest_names
 from physkin_ros.messages.topics import TOPICS
 from physkin_ros.node.settings import (
     AVATAR_SETTINGS,

@@ -8,9 +8,15 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from physkin_core import Draper, load_avatar, load_garment_model
+from physkin_core import Draper, load_garment_model
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
-from physkin_core.outfit.outfit_options import add_avatar_options, add_options, print_warnings, the_garment
+from physkin_core.outfit.outfit_options import (
+    add_avatar_options,
+    add_options,
+    chosen_avatar,
+    print_warnings,
+    the_garment,
+)
 from physkin_core.runtime.frame_input import checked_sway
 from physkin_core.separation.limb_separator import bind_limbs
 from physkin_ros.arguments import file_to_write
@@ -74,7 +80,7 @@ def replay_one(options: argparse.Namespace) -> int:
 
 def _draper(options: argparse.Namespace) -> Draper:
     model = load_garment_model(the_garment(options.garment, "replay drapes"))
-    draper = Draper(model, load_avatar(options.avatar, model.rig, rig_file=options.rig), fit=options.fit)
+    draper = Draper(model, chosen_avatar(options, model.rig), fit=options.fit)
     print_warnings(draper.avatar.warnings)
     return draper
 

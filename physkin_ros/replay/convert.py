@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from physkin_core import Motion, load_body_model, load_motion
-from physkin_core.motion.loading import MOCAP_SUFFIXES
-from physkin_core.motion.mocap import AMC_RATE_HZ, load_mocap
+from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip, split_clip_name
+from physkin_core.outfit.outfit_options import add_options, motion_settings
 from physkin_core.progress import progress_line
 from physkin_ros.replay.bags import BagWriter, write_motion
 
@@ -17,19 +17,13 @@ __all__ = ["command_parser", "main"]
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin convert`."""
     parser = argparse.ArgumentParser(prog="physkin convert", description=__doc__.split("`: ", 1)[1].splitlines()[0])
-    parser.add_argument("motion", help="shipped clip (walk, dance, ...), motion file (.safetensors), .bvh or .amc")
+    parser.add_argument("motion", help="bundled motion or a motion file")
     parser.add_argument("output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3")
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="joint states a second (default: the clip's; 60 for motion capture)"
     )
     parser.add_argument("--skeleton", metavar="ASF", help="skeleton of an .amc (default: 02.asf for 02_02.amc)")
-    parser.add_argument(
-        "--source-rate",
-        type=float,
-        default=AMC_RATE_HZ,
-        metavar="HZ",
-        help="rate at which an .amc was recorded (default %(default)g)",
-    )
+    add_options(parser, "bones", "source-rate")
     parser.add_argument("--seconds", type=float, help="repeat or cut the clip to this length (default: once)")
     parser.add_argument("--frame-id", default="base_link", help="TF frame of the root (default %(default)s)")
     parser.add_argument(
@@ -55,11 +49,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _motion(options: argparse.Namespace) -> Motion:
-    if Path(options.motion).suffix.lower() not in MOCAP_SUFFIXES:
-        return load_motion(options.motion)
-    settings = {"skeleton": options.skeleton, "source_rate_hz": options.source_rate}
+    settings = motion_settings(options)
+    if split_clip_name(options.motion)[0].suffix.lower() not in CLIP_SUFFIXES:
+        return load_motion(options.motion, **settings)
+    settings["skeleton"] = options.skeleton
     watch = progress_line(f"reading {options.motion}")
-    motion, missed = load_mocap(options.motion, load_body_model().rig, watch=watch, **settings)
+    motion, missed = load_clip(options.motion, load_body_model().rig, watch=watch, **settings)
     bone = max(missed, key=missed.get)
     print(
         f"retargeted: bones miss their direction by {sum(missed.values()) / len(missed):.1f} degrees on average, "

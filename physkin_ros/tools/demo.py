@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core import BUNDLED_AVATAR, Motion, Outfit, load_avatar, load_motion
+from physkin_core import Motion, Outfit
 from physkin_core.machine import machine_line
-from physkin_core.outfit.outfit_options import add_options, chosen_garments
+from physkin_core.outfit.outfit_options import add_options, chosen_avatar, chosen_garments, read_motion
 from physkin_core.pictures.picture import contact_sheet, render, save_png
-from physkin_core.progress import progress_line
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.arguments import file_to_write, positive
 from physkin_ros.middleware.transport import private_environment
@@ -38,8 +37,8 @@ def main(argv: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     options.garment = options.garment or list(WORN)
     garments = chosen_garments(options.garment, [])
-    avatar = load_avatar(options.avatar or BUNDLED_AVATAR, garments[0].model.rig)
-    clip = load_motion(options.motion, watch=progress_line(f"reading {options.motion}")).resampled(RATE_HZ)
+    avatar = chosen_avatar(options, garments[0].model.rig)
+    clip = read_motion(options).resampled(RATE_HZ)
     motion, outfit = clip.looped(options.seconds), Outfit(garments, avatar)
     os.environ.update(private_environment())
     try:
@@ -115,7 +114,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         *("-o", "--output"), type=file_to_write, default=Path("demo.png"), help="picture (default %(default)s)"
     )
-    add_options(parser, "garment", worn=", ".join(WORN))
+    add_options(parser, "garment", "rig", "bones", "source-rate", worn=", ".join(WORN))
     parser.add_argument("--avatar", default="", help="avatar file (default: the bundled avatar)")
     parser.add_argument("--motion", default="dance", help="bundled motion or a motion file (default %(default)s)")
     return parser

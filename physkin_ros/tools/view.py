@@ -262,7 +262,7 @@ def show(options: argparse.Namespace) -> int:
     body = None
     if options.avatar is not None:
         with closing(AssetLoader()) as loader:
-            body = loader.avatar(options.avatar, rig_file=options.rig)
+            body = loader.avatar(options.avatar, rig_file=options.rig, bones=options.bones)
     page, node = Page(host=options.host, port=options.port, title="PhySkin, ROS"), rclpy.create_node("physkin_view")
     drawn = RosPage(page, node, body=body)
     try:

@@ -12,10 +12,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from core.motion.test_mocap import JOINTS as BODY_JOINTS
 from core.motion.test_mocap import write_amc, write_bvh
 from core.points.splat_files import splat_ply
 from fuzzing import damaged
 from gltf_person import PERSON, RIG, person_document, rig_json, write_gltf
+from motion_files import smpl_arrays, write_gltf_clips
 from random_models import random_model
 
 from physkin_core import MotionError, load_avatar, load_garment_model, load_motion, save_garment_model
@@ -28,6 +30,7 @@ from physkin_core.model.garment import GarmentError
 from physkin_core.model.model_file import ModelFileError
 from physkin_core.motion.loading import save_motion
 from physkin_core.points.point_files import PointFileError, read_points
+from physkin_core.rig.bones_file import BonesFileError, read_bones_file
 from physkin_ros.joints.joint_map import JointMapError, load_joint_map
 from physkin_ros.node.config_file import load_config
 from physkin_ros.node.settings import SettingsError
@@ -89,6 +92,15 @@ def amc(folder):
     return path.rename(folder / "a.amc")
 
 
+def gltf_clip(folder):
+    return write_gltf_clips(folder / "a.glb", BODY_JOINTS, {"Walk": [{}] * 2})
+
+
+def smpl(folder):
+    np.savez(folder / "a.npz", **smpl_arrays([{}] * 2, width=66))
+    return folder / "a.npz"
+
+
 def skeleton(folder):
     return amc(folder).with_suffix(".asf")
 
@@ -123,6 +135,10 @@ def body(path):
     return load_avatar(path, RIG)
 
 
+def bones(path):
+    return read_bones_file(path, path, ["hips"], ["root"])
+
+
 def joint_map(path):
     return load_joint_map(path, ["hip", "knee"])
 
@@ -135,6 +151,9 @@ FILES = {
     "clip": (clip, *MOTION, 7),
     "BVH": (bvh, *MOTION, 11),
     "AMC": (amc, *MOTION, 11),
+    "clip, GLB": (gltf_clip, *MOTION, 97),
+    "clip, SMPL": (smpl, *MOTION, 97),
+    "bones": (content("a.json", {"hips": "root"}), bones, BonesFileError, 1),
     "ASF": (skeleton, *MOTION, 31),
     "bag, MCAP": (bag("a.mcap"), *MOTION, 97),
     "bag, SQLite": (bag("a.db3"), *MOTION, 997),

@@ -79,9 +79,9 @@ class SceneState:
 
     loader: of all files. garments: names of shipped models or files, from the skin outwards; tucked: those of them
     whose hem is under the next one's waistband. body: an avatar file; rig_file: of one without a skin. motion: as
-    `load_motion` takes it, or None. fit, own_clothes: as of `Outfit`. points: a file of splats where one of the
-    garments lies; while that is worn, frames have them; has_splats: whether there is one. separate_limbs: whether poses
-    go through a `LimbSeparator`.
+    `load_motion` takes it, or None; source_rate_hz: of that file; bones: of it and of the body. fit, own_clothes: as of
+    `Outfit`. points: a file of splats where one of the garments lies; while that is worn, frames have them; has_splats:
+    whether there is one. separate_limbs: whether poses go through a `LimbSeparator`.
     warnings: of what is worn, and of limbs that are not separated. rig: whose joints there are. playing, speed: of the
     motion; seconds: its time. sway: as of `Outfit`. wind: [m/s] along the world's X axis, changed by `blow`. pose:
     shown now; posed_by_hand: whether a joint was set last. show_plain: compute plain skinning too.
@@ -96,13 +96,17 @@ class SceneState:
         tucked: Sequence[str] = (),
         body: str | Path = BUNDLED_AVATAR,
         rig_file: str | Path | None = None,
+        bones: str | Path | None = None,
         motion: str | Path | None = None,
+        source_rate_hz: float | None = None,
         fit: float | None = None,
         own_clothes: OwnClothes = "replace",
         points: str | Path | None = None,
     ) -> None:
         self._loader, self._points, self._fit, self._own_clothes = loader, points, fit, own_clothes
         self.has_splats = points is not None
+        self._bones = {} if bones is None else {str(body): str(bones)}
+        self._motion_settings = {str(motion): {"bones": bones, "source_rate_hz": source_rate_hz}}
         self._binding, self._lock = Lock(), RLock()
         self._changed = True
         self._player: MotionPlayer | None = None
@@ -151,6 +155,7 @@ class SceneState:
             tuple(GarmentRequest(name, tucked=is_tucked, fit=self._fit) for name, is_tucked in named),
             str(body),
             str(rig_file or ""),
+            self._bones.get(str(body), ""),
             own_clothes=self._own_clothes,
             limbs=separate_limbs,
             points=str(self._points or ""),
@@ -212,7 +217,7 @@ class SceneState:
 
     def choose_motion(self, motion: str | Path | None) -> None:
         """Show a motion from its start, or, with None, a pose that joints are set to, upright where the body stands."""
-        loaded = None if motion is None else self._loader.motion(motion)
+        loaded = None if motion is None else self._loader.motion(motion, **self._motion_settings.get(str(motion), {}))
         with self._lock:
             self._player = None if loaded is None else MotionPlayer(loaded, self.rig, self.outfit.avatar)
             if self._player is None:

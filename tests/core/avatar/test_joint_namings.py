@@ -1,10 +1,14 @@
 """Avatars on skeletons that few names, or none, tell: the person is the same, or the refusal says what is missing."""
 
+import json
+
 import numpy as np
 import pytest
 from gltf_person import PERSON, RIG, distances, load_document, person_document, skeleton_of, with_ends
 
 from physkin_core.avatar.avatar import AvatarError
+from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
+from physkin_core.export.gltf_builder import write_glb
 from physkin_core.rig.vrm_bones import HUMANOID_BONES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
@@ -113,3 +117,25 @@ def test_one_joint_of_the_trunk_at_the_hips(tmp_path, name):
     carried = [avatar.influence_bones[at, avatar.influence_weights[at].argmax(axis=1)] for at in (chest, belly)]
     usual = [np.bincount(each, minlength=RIG.bone_count)[spine].argmax() for each in carried]
     assert usual[1] < usual[0], "the belly hangs on a lower bone of the spine than the chest"
+
+
+def test_bones_file_wins_over_names(tmp_path):
+    """Chosen or beside the avatar: a figure whose left upper arm no name tells, as another joint has its name."""
+    builder = person_document()
+    for node in builder.document["nodes"]:
+        node["name"] = {"upperarm01.L": "Lump", "upperarm02.L": "upperarm01.L"}.get(
+            node.get("name"), node.get("name", "")
+        )
+    write_glb(tmp_path / "me.glb", builder)
+    file = tmp_path / "names.json"
+    file.write_text(json.dumps({"upperarm01.L": "Lump"}))
+    plain = load_avatar(BUNDLED_AVATAR, RIG).bone_heads.shape
+    chosen = load_avatar(tmp_path / "me.glb", RIG, bones=file)
+    assert distances(chosen.bone_heads, PERSON.bone_heads).max() < 5 and chosen.bone_heads.shape == plain
+    file.rename(tmp_path / "me.bones.json")
+    np.testing.assert_array_equal(load_avatar(tmp_path / "me.glb", RIG).bone_heads, chosen.bone_heads)
+    (tmp_path / "me.bones.json").write_text(json.dumps({"upperarm01.L": "Lumq"}))
+    with pytest.raises(
+        AvatarError, match="me.glb: bones file .*me.bones.json: me.glb has no 'Lumq'; did you mean 'Lump'"
+    ):
+        load_avatar(tmp_path / "me.glb", RIG)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from physkin_core import MotionError, load_body_model, load_motion
-from physkin_core.motion.mocap import load_mocap
+from physkin_core.motion.clip_files import load_clip as load_mocap
 from physkin_core.progress import progress_line
 
 # name, parent, offset from the parent (Y up, looks along Z, left is X), arms stretched out sideways

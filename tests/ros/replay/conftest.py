@@ -19,7 +19,7 @@ def quick(avatar, monkeypatch):
     """For the command line: the avatar that was read already, and blank pictures."""
     blank = np.zeros((4, 4, 3), dtype=np.uint8)
     monkeypatch.setattr("physkin_ros.replay.report.render", lambda *_, **__: blank)
-    monkeypatch.setattr("physkin_ros.replay.command.load_avatar", lambda *arguments, **settings: avatar)
+    monkeypatch.setattr("physkin_ros.replay.command.chosen_avatar", lambda *arguments, **settings: avatar)
 
 
 @pytest.fixture(scope="session")

@@ -132,7 +132,7 @@ def test_convert_writes_where_the_root_is(tmp_path):
 @pytest.mark.parametrize("output", ["{tmp}/there", "/proc/out.mcap", "{tmp}/no/out"])
 def test_convert_refuses_an_output_before_it_reads_the_motion(output, tmp_path, monkeypatch, capsys):
     """Reading motion capture may take a minute."""
-    monkeypatch.setattr("physkin_ros.replay.convert.load_mocap", lambda *_, **__: pytest.fail("the motion was read"))
+    monkeypatch.setattr("physkin_ros.replay.convert.load_clip", lambda *_, **__: pytest.fail("the motion was read"))
     (tmp_path / "there").mkdir()
     output = output.format(tmp=tmp_path)
     assert cli.main(["convert", "walk.bvh", output]) == 2

@@ -56,7 +56,8 @@ def train_garment(job: Job, device: str) -> Status:
 
 def _looked_at(job: Job, model: GarmentModel) -> dict:
     """Figures of the trained garment on the avatar; its picture in a frame of motion is written."""
-    avatar = load_avatar(job.settings.avatar or BUNDLED_AVATAR, model.rig, rig_file=job.settings.rig)
+    worn = job.settings
+    avatar = load_avatar(worn.avatar or BUNDLED_AVATAR, model.rig, rig_file=worn.rig, bones=worn.bones)
     draper = Draper(model, avatar)
     try:
         picture = Image.fromarray(in_motion(draper))

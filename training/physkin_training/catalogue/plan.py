@@ -99,7 +99,7 @@ def find_jobs(folder: Path, output: Path, settings: FitSettings) -> list[Job]:
     jobs = []
     for name, mesh in meshes.items():
         own = given | {"recipe": recipes.get(name, given["recipe"])}
-        texts = {option: str(own[option]) if own[option] else None for option in ("avatar", "rig")}
+        texts = {option: str(own[option]) if own[option] else None for option in ("avatar", "rig", "bones")}
         of_job = replace(settings, **texts, recipe=own["recipe"], resume=True)
         path = (output / f"{name}.safetensors").resolve()
         jobs.append(Job(mesh.resolve(), path, of_job, _fingerprint(mesh, of_job)))
@@ -107,7 +107,7 @@ def find_jobs(folder: Path, output: Path, settings: FitSettings) -> list[Job]:
 
 
 def _files(settings: FitSettings) -> dict[str, str | Path | None]:
-    return {"avatar": settings.avatar, "rig": settings.rig, "recipe": settings.recipe}
+    return {name: getattr(settings, name) for name in ("avatar", "rig", "bones", "recipe")}
 
 
 def _fingerprint(mesh: Path, settings: FitSettings) -> str:

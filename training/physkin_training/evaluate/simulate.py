@@ -19,13 +19,18 @@ from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.loading import load_avatar
 from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import GarmentModel, Material, RestAngles
 from physkin_core.model.model_file import load_garment_model
 from physkin_core.motion.loading import load_motion
 from physkin_core.outfit.draper import Draper
-from physkin_core.outfit.outfit_options import add_avatar_options, print_warnings
+from physkin_core.outfit.outfit_options import (
+    add_avatar_options,
+    add_options,
+    chosen_avatar,
+    motion_settings,
+    print_warnings,
+)
 from physkin_core.progress import progress_line
 from physkin_core.quality import area_strain, edge_strain
 from physkin_core.rig.rig import Rig
@@ -181,6 +186,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="physkin simulate", description=__doc__.split("`: ", 1)[1].splitlines()[0])
     parser.add_argument("garment", type=Path, help="garment mesh (OBJ, PLY, STL), in the canonical pose")
     add_avatar_options(parser, made_on=True)
+    add_options(parser, "source-rate")
     parser.add_argument("--motion", help="bundled motion or a motion file (default: the canonical pose)")
     parser.add_argument(
         "--frame", type=int, nargs="+", default=[0], metavar="K", help="frames of the motion (default 0)"
@@ -220,7 +226,7 @@ def _simulate(options: argparse.Namespace) -> int:
     model = load_garment_model(options.start_from) if options.start_from else plain_model(garment)
     body_model = load_body_model()
     if options.avatar:
-        avatar = load_avatar(options.avatar, model.rig, rig_file=options.rig)
+        avatar = chosen_avatar(options, model.rig)
     else:
         avatar = avatar_from_body(body_model, body_model.garment_body)
     print_warnings(avatar.warnings)
@@ -257,7 +263,8 @@ def _poses(options: argparse.Namespace, rig: Rig) -> tuple[np.ndarray, np.ndarra
     """Joint positions (B, d) [rad] and gravity (B, 3)."""
     if not options.motion:
         return rig.rest[None].copy(), np.array(UPRIGHT_GRAVITY)[None]
-    motion = load_motion(options.motion, watch=progress_line(f"reading {options.motion}"))
+    watch = progress_line(f"reading {options.motion}")
+    motion = load_motion(options.motion, **motion_settings(options), watch=watch)
     for frame in options.frame:
         if not 0 <= frame < motion.frame_count:
             raise ValueError(f"motion {options.motion} has frames 0 to {motion.frame_count - 1}, not {frame}")

@@ -234,7 +234,7 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
 
 def _avatar(settings: FitSettings, body_model: BodyModel) -> Avatar:
     """The avatar that the garment was made on, in the canonical pose."""
-    avatar = load_avatar(settings.avatar, body_model.rig, rig_file=settings.rig)
+    avatar = load_avatar(settings.avatar, body_model.rig, rig_file=settings.rig, bones=settings.bones)
     print_warnings(avatar.warnings)
     return avatar
 

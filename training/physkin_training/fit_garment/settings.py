@@ -30,7 +30,7 @@ class FitSettings:
 
     Attributes:
         avatar: file of the avatar that the garment was made on; None: the body of the shipped garments.
-        rig: rig file of an avatar without a skeleton.
+        rig, bones: rig file of an avatar without a skeleton, bones file of one with.
         edge_length: [m] of the triangles that a sewing pattern is cut into; None: `EDGE_LENGTH`. Not for a mesh.
         accept_placement: whether a garment is trained though its place on the avatar is in doubt.
         check_only: whether all ends after the checks.
@@ -49,6 +49,7 @@ class FitSettings:
 
     avatar: str | None = None
     rig: str | None = None
+    bones: str | None = None
     edge_length: float | None = None
     accept_placement: bool = False
     check_only: bool = False

@@ -1,0 +1,35 @@
+"""Which nodes of a glTF file are joints: those of its skins, and the humanoid bones of VRM and VRMA."""
+
+from __future__ import annotations
+
+from physkin_core.file_reading import ContentError, shown
+from physkin_core.formats.gltf_document import GltfEntry
+from physkin_core.formats.gltf_file import GltfFile
+
+__all__ = ["humanoid_nodes", "skin_nodes"]
+
+
+def skin_nodes(file: GltfFile, skin: GltfEntry) -> list[int]:
+    """Nodes that are the joints of a skin. Raises ContentError where there are none, or no such nodes."""
+    nodes = skin.indices("joints")
+    if not nodes or max(nodes) >= len(file.nodes):
+        raise ContentError(f"joints of {skin.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
+    return nodes
+
+
+def humanoid_nodes(file: GltfFile) -> dict[str, int] | None:
+    """Node by VRM humanoid bone, or None for a file that is neither VRM nor VRMA. Raises ContentError."""
+    extensions = file.document.entry("extensions")
+    for name in ("VRMC_vrm", "VRMC_vrm_animation"):
+        if name in extensions:
+            bones = extensions.entry(name).entry("humanoid").entry("humanBones")
+            nodes = {bone: bones.entry(bone).integer("node") for bone in bones.members}
+            break
+    else:
+        if "VRM" not in extensions:
+            return None
+        listed = extensions.entry("VRM").entry("humanoid").entries("humanBones")
+        nodes = {bone.text("bone"): bone.integer("node") for bone in listed}
+    for node in nodes.values():
+        file.document.item("nodes", node)
+    return nodes

@@ -1,0 +1,104 @@
+"""Files with a clip of any skeleton, by suffix; one of them as motion of the default rig."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from physkin_core.file_reading import reading
+from physkin_core.motion.motion import Motion, MotionError
+from physkin_core.motion.pace import doubtful_pace
+from physkin_core.progress import Watch
+from physkin_core.rig.bones_file import read_bones_file
+from physkin_core.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from physkin_core.motion.source_clip import SourceClip
+
+__all__ = ["CLIP_SUFFIXES", "describe_clips", "load_clip", "split_clip_name"]
+
+log = logging.getLogger(__name__)
+
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma")
+CLIP_SUFFIXES = (".bvh", ".amc", ".npz", *GLTF_SUFFIXES)
+
+
+def split_clip_name(path: str | Path) -> tuple[Path, str]:
+    """A file and which of its clips, from `me.glb#Walk`; the clip is empty for all other names."""
+    file, _, clip = str(path).rpartition("#")
+    named = Path(file).suffix.lower() in GLTF_SUFFIXES and not Path(path).exists()
+    return (Path(file), clip) if named else (Path(path), "")
+
+
+def load_clip(
+    path: str | Path,
+    rig: Rig,
+    *,
+    bones: str | Path | None = None,
+    skeleton: str | Path | None = None,
+    source_rate_hz: float | None = None,
+    watch: Watch = lambda share: None,
+) -> tuple[Motion, dict[str, float]]:
+    """Read a file as motion of the default rig at 60 Hz, standing on the floor and facing X at first.
+
+    path: as `load_motion` takes it, of one of `CLIP_SUFFIXES`. rig: the default one. skeleton: the .asf of an .amc;
+    None: `02.asf` for `02_02.amc`. bones, source_rate_hz, watch: as of `load_motion`. Frames of a calibration pose
+    before the motion are left out, with a warning.
+    Also returns the mean angle [degrees] between a bone's direction and the source's, by rig bone.
+    Raises MotionError: unreadable, malformed, or a limb that is not recognised.
+    """
+    from physkin_core.motion.clip_retargeting import retarget_clip
+    from physkin_core.motion.source_clip import check_clip_size
+
+    if source_rate_hz is not None and not 0 < source_rate_hz < np.inf:
+        raise MotionError(f"source_rate_hz must be positive and finite, got {source_rate_hz}")
+    file, name = split_clip_name(path)
+    with reading(f"motion file {path}", MotionError):
+        clip = _read(file, name, skeleton)
+        clip = replace(clip, by_hand=read_bones_file(bones, file, rig.bone_names, clip.names))
+        if source_rate_hz is not None:
+            check_clip_size(clip.frame_count, len(clip.names), source_rate_hz)
+            clip = replace(clip, rate_hz=source_rate_hz)
+        motion, report = retarget_clip(clip, rig, subject=str(path), name=name or file.stem, watch=watch)
+    if doubt := doubtful_pace(motion, rig):
+        log.warning("%s: %s", path, doubt)
+    return motion, report
+
+
+def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
+    """How long the clips of a file are, by number and name, and a bones file of them; empty where there are
+    none. Raises MotionError."""
+    from physkin_core.formats.gltf_file import GltfFile
+    from physkin_core.motion.gltf_clip import gltf_clip_names
+    from physkin_core.rig.human_skeleton import find_human_skeleton
+
+    file, clip = Path(path), None
+    with reading(f"motion file {path}", MotionError):
+        names, rows = [file.stem], {}
+        if file.suffix.lower() in GLTF_SUFFIXES:
+            names = gltf_clip_names(GltfFile(file))
+        for number, name in enumerate(names, 1):
+            clip = _read(file, str(number) if len(names) > 1 else "", None)
+            seconds = clip.frame_count / clip.rate_hz
+            rows[f"clip {number}"] = f"{name}: {seconds:.2f} s at {clip.rate_hz:.4g} Hz, {len(clip.names)} joints"
+        if clip is None:
+            return {}
+        human = find_human_skeleton(clip.names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
+        return rows | {"bones": human.bones_file(clip.names, rig)}
+
+
+def _read(file: Path, name: str, skeleton: str | Path | None) -> SourceClip:
+    from physkin_core.motion.gltf_clip import read_gltf_clip
+    from physkin_core.motion.mocap import read_mocap
+    from physkin_core.motion.smpl_clip import read_smpl_clip
+
+    match file.suffix.lower():
+        case ".bvh" | ".amc":
+            return read_mocap(file, skeleton=skeleton)
+        case ".npz":
+            return read_smpl_clip(file)
+    return read_gltf_clip(file, clip=name)
