@@ -38,9 +38,13 @@ class Avatar:
         source: where it came from.
         warnings: what was assumed or repaired on the way, for the user to read.
         bone_names: (b,) of the rig that it is bound to. If empty, `Draper` can only compare the number of bones.
-        file_vertices: (V, 3) float64, the vertices in the file's own frame and unit; None if there is no file.
+        file_vertices: (V, 3) float64, the vertices in the file's own frame and unit, in the pose that it shows; None if
+            there is no file.
         file_corners: (f, 3) int, for each corner of `faces` the index of that triangle corner in the file, counted over
             the whole file, for looking up texture coordinates.
+        file_joints: (b,) of each bone the node of a glTF file that is its joint, -1 for none; None of other files.
+        file_joint_frames: (b, 4, 4) from the frame of that node, in its unit, to the root frame in the canonical pose
+            [m], NaN for none. Where a clip puts the node at a transform A, the bone moves by A times its inverse.
         accessories: hair, eyes, glasses and the like, on the same bones. Pictures show them; garments ignore them.
         clothes: what it wears already, one surface each, on the same bones. Pictures show what an outfit does not
             replace.
@@ -62,6 +66,8 @@ class Avatar:
     bone_names: tuple[str, ...] = ()
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
+    file_joints: np.ndarray | None = None
+    file_joint_frames: np.ndarray | None = None
     accessories: Avatar | None = None
     clothes: tuple[Avatar, ...] = ()
 

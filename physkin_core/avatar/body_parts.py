@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
 from physkin_core.avatar.surface_matching import NORMAL_REACH, with_normals
@@ -25,13 +26,24 @@ from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
 from physkin_core.rig.rig import Rig
 
-__all__ = ["BodyParts", "free_bones", "kind_of_part", "split_body", "without_accessories"]
+__all__ = [
+    "APPENDAGE",
+    "BODY",
+    "UNKNOWN",
+    "BodyParts",
+    "free_bones",
+    "kind_of_part",
+    "split_body",
+    "without_accessories",
+]
 
 BODY, UNKNOWN, CLOTHES, ACCESSORY = range(4)
+APPENDAGE = "appendage"
+"""A word in the names of parts that no human has."""
 WORDS = {
     ACCESSORY: "hair bang ponytail eye eyebrow eyelash iris pupil cornea lash brow teeth tooth tongue gum mouth beard "
     "moustache mustache glass glasses eyewear goggle hat cap helmet headwear horn tail wing weapon sword bag backpack "
-    "jewel earring necklace ring helper",
+    f"jewel earring necklace ring helper {APPENDAGE}",
     CLOTHES: "cloth clothing outfit top bottom shirt tshirt blouse sweater hoodie jacket coat vest suit dress skirt "
     "pant trouser jean short legging sock stocking shoe boot sneaker footwear sandal glove scarf tie belt underwear "
     "bra uniform kimono robe onepiece",
@@ -56,6 +68,10 @@ NEEDED = 0.5
 LARGEST_BODY = 1.5
 """Surface of a stout body over the mean body's: room for parts that are not clothes by name."""
 LISTED_PARTS = 8
+BARE = 0.15
+"""Share of the mean body's skin below which a part has hardly any."""
+PARTS = {"upperarm01": "upper arm", "lowerarm01": "forearm", "upperleg01": "thigh", "lowerleg01": "shin"}
+PARTS |= {"neck01": "the head", "trunk": "the trunk"}
 
 
 def kind_of_part(names: Sequence[str]) -> int:
@@ -172,6 +188,21 @@ def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarra
             taken[part] = True
             filled += areas[part]
     return taken if taken.any() else ~taken
+
+
+def bare_parts(avatar: Avatar, rig: Rig) -> tuple[str, ...]:
+    """Parts of a person, in words, on which an avatar has hardly any skin; none on a rig that is not a person's."""
+    body = load_body_model()
+    if rig.bone_names != body.rig.bone_names:
+        return ()
+    strongest = np.take_along_axis(avatar.influence_bones, avatar.influence_weights.argmax(axis=1)[:, None], axis=1)
+    regions = _bone_regions(rig)[strongest[avatar.faces[:, 0], 0]]
+    areas = np.bincount(regions, face_areas(avatar.vertices, avatar.faces), len(REGION_BONES) + 1)
+    size = np.linalg.norm(avatar.bone_heads, axis=1).mean() / np.linalg.norm(body.mean_bones[:, 0], axis=1).mean()
+    bare = np.flatnonzero(areas < BARE * size**2 * _usual_areas(rig))
+    sides = {"L": "the left ", "R": "the right "}
+    named = [(*REGION_BONES, "trunk")[region].split(".") for region in bare]
+    return tuple("".join(sides[side] for side in more) + PARTS.get(part, part) for part, *more in named)
 
 
 def _report(

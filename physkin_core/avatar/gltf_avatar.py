@@ -1,34 +1,37 @@
 """Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files.
 
-The mesh is taken as the file shows it (node transforms, default morph weights, skinning), with its own joint hierarchy;
+The mesh is taken as it was bound to its joints (`gltf_skeleton`), with the morph weights that the file shows;
 `retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
 
-Dimensions: `V` vertices, `j` joints (see `_joints`), `g` nodes, `K` influences.
+Dimensions: `V` vertices, `j` joints, `K` influences.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.gltf_copies import coarse_copies
+from physkin_core.avatar.gltf_skeleton import GltfSkeleton, find_skeleton
 from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
 from physkin_core.avatar.skinned_mesh import (
     SkinnedMesh,
     Surface,
-    check_bone_count,
     check_influence_count,
     clean_surface,
     unit_scale,
 )
-from physkin_core.file_reading import ContentError, shown
-from physkin_core.formats.gltf_document import GltfEntry
+from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
+from physkin_core.rig.joint_names import read_name
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
 from physkin_core.rig.rig import Rig, ancestors
 
@@ -38,16 +41,19 @@ __all__ = ["load_gltf"]
 TO_ROOT_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 VRM0_TO_ROOT_FRAME = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 END_SUFFIX = "_end"
+SLIGHT, FEW = 0.05, 0.01
+"""Skinning weights down to less than this below 0 come of resampling and rounding; and the share of vertices by whose
+weights no body is spoilt."""
 
 
 def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
-    file = GltfFile(path)
+    file = GltfFile(path, lenient=True)
     if not file.document.count("skins"):
         return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:
         raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
-    return retarget(_skinned_mesh(file), rig, bones=bones)
+    return retarget(_skinned_mesh(file, rig), rig, bones=bones)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
@@ -67,61 +73,132 @@ def _plain_mesh(file: GltfFile) -> Surface:
     return Surface(vertices, faces, names, face_parts, clear_parts, seen)
 
 
-def _skinned_mesh(file: GltfFile) -> SkinnedMesh:
+def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
     humanoid = humanoid_nodes(file)
-    joint_nodes, node_joint = _joints(file, humanoid or {})
-    warnings, parts, start = [], [], 0
-    for drawn in drawn_primitives(file):
-        node, positions = drawn.node, drawn.positions
-        label = shown(file.nodes[node].text("name") or f"node {node}")
-        skin = file.nodes[node].index("skin")
-        if skin is not None:
-            joints, weights, unbound = _skin_influences(file, drawn, skin, label)
-            if unbound:
-                warnings.append(f"{unbound} vertices of {label} have no skinning weights: bound to the first joint")
-            positions = linear_blend_skinning(positions, _skin_transforms(file, skin), joints, weights)
-            joints = np.array([node_joint[joint] for joint in _skin_joints(file, skin)])[joints]
-        else:
-            carrier = next(
-                (node_joint[each] for each in ancestors(file.node_parents, node) if each in node_joint), None
-            )
+    skinned = [_Skinned(drawn, file.nodes[drawn.node].index("skin")) for drawn in drawn_primitives(file)]
+    counts = dict.fromkeys(range(file.document.count("skins")), 0)
+    for each in skinned:
+        if each.skin is not None:
+            file.document.item("skins", each.skin)
+            counts[each.skin] += len(each.drawn.positions)
+    skeleton = find_skeleton(file, counts, rig, humanoid)
+    warnings = [*_mended(file, humanoid or {}), *skeleton.warnings]
+    skinned = [each for each in skinned if each.skin in (None, *skeleton.skins)]
+    coarse = coarse_copies([each.drawn for each in skinned if each.skin is not None])
+    if coarse:
+        called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
+        warnings.append(f"these meshes draw again what others draw finer: {called}; left out")
+    bound, rigid = [], []
+    for drawn, skin in skinned:
+        if drawn.node in coarse:
+            continue
+        label = shown(file.nodes[drawn.node].text("name") or f"node {drawn.node}")
+        if skin is None:
+            above = ancestors(file.node_parents, drawn.node)
+            carrier = next((skeleton.joint[each] for each in above if each in skeleton.joint), None)
             if carrier is None:
                 warnings.append(f"mesh {label} has no skin and hangs on no joint: left out")
                 continue
-            positions = in_scene(file, node, positions)
-            joints, weights = np.full((len(positions), 1), carrier), np.ones((len(positions), 1))
-        looks = _part_names(file, drawn), shows_through(file, drawn), seen_faces(file, drawn)
-        parts.append((positions, drawn.faces + start, joints, weights, drawn.corners, *looks))
-        start += len(positions)
-    if not parts:
+            world = skeleton.worlds[drawn.node]
+            bound.append(_Bound(drawn, drawn.positions @ world[:3, :3].T + world[:3, 3], *_on(drawn, carrier)))
+            continue
+        transforms = skeleton.skins[skin].transforms(file, skeleton.worlds)
+        if "JOINTS_0" not in drawn.primitive.entry("attributes"):
+            rigid.append((drawn, transforms, label))
+            continue
+        joints, weights, said = _skin_influences(file, drawn, len(skeleton.skins[skin].joints), label)
+        warnings += said
+        placed = linear_blend_skinning(drawn.positions, transforms, joints, weights)
+        own = np.array([skeleton.joint[joint] for joint in skeleton.skins[skin].joints])
+        bound.append(_Bound(drawn, placed, own[joints], weights))
+    for drawn, transforms, label in rigid:
+        part = f"{drawn.primitive.where} of mesh {label}"
+        if not bound:
+            raise ContentError(f"{part} has a skin but no JOINTS_0 and WEIGHTS_0")
+        bound.append(_lying_at(drawn, transforms[0], bound))
+        name = file.nodes[skeleton.nodes[bound[-1].joints[0, 0]]].text("name")
+        warnings.append(f"{part} has no skinning weights: it moves with joint {shown(name)}, at which it lies")
+    if not bound:
         raise ContentError("it has no faces on its skeleton; a triangle mesh is needed")
-    vertices, faces, joints, weights, corners, names, clear, seen = zip(*parts)
-    face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
-    vertices, faces, corners, seen = map(np.concatenate, (vertices, faces, corners, seen))
-    influences = joined_influences(joints), joined_influences(weights)
+    starts = np.cumsum([0, *(len(each.positions) for each in bound)])
+    names = tuple(_part_names(file, each.drawn) for each in bound)
+    clear = [shows_through(file, each.drawn) for each in bound]
+    seen = np.concatenate([seen_faces(file, each.drawn) for each in bound])
+    face_parts = np.repeat(np.arange(len(bound)), [len(each.drawn.faces) for each in bound])
+    influences = tuple(joined_influences([getattr(each, name) for each in bound]) for name in ("joints", "weights"))
+    faces = np.concatenate([each.drawn.faces + start for each, start in zip(bound, starts)])
+    vertices = np.concatenate([each.positions for each in bound])
     vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, influences, str(file.path))
-    heads = file.node_worlds[joint_nodes][:, :3, 3]
+    nodes, worlds = skeleton.nodes, skeleton.worlds[skeleton.nodes]
+    place = {node: k for k, node in enumerate(nodes)}
+    held = (file.node_worlds[nodes] @ np.linalg.pinv(np.nan_to_num(worlds)))[:, :3]
     scale, unit_warning = unit_scale(vertices)
-    frame = scale * _frame(file)
+    frame = np.eye(4)
+    frame[:3, :3] = scale * _frame(file)
     return SkinnedMesh(
-        vertices=vertices @ frame.T,
+        vertices=vertices @ frame[:3, :3].T,
         faces=faces,
-        joint_names=tuple(file.nodes[node].text("name") or f"node {node}" for node in joint_nodes),
-        joint_parents=np.array([node_joint.get(int(file.node_parents[node]), -1) for node in joint_nodes]),
-        joint_heads=heads @ frame.T,
-        joint_tails=_joint_tails(file, joint_nodes) @ frame.T,
+        joint_names=tuple(file.nodes[node].text("name") or f"node {node}" for node in nodes),
+        joint_parents=np.array([place.get(int(file.node_parents[node]), -1) for node in nodes]),
+        joint_heads=worlds[:, :3, 3] @ frame[:3, :3].T,
+        joint_tails=_joint_tails(file, skeleton) @ frame[:3, :3].T,
         influence_joints=joints,
         influence_weights=weights,
         source=str(file.path),
-        humanoid=None if humanoid is None else {name: node_joint[node] for name, node in humanoid.items()},
+        humanoid=None if humanoid is None else {name: place[node] for name, node in humanoid.items()},
         warnings=(*dict.fromkeys(warnings), *unit_warning),
         part_names=names,
         face_parts=face_parts[kept],
         clear_parts=frozenset(np.flatnonzero(clear).tolist()),
         seen=seen[kept],
-        file_vertices=vertices,
-        file_corners=corners[kept],
+        file_vertices=linear_blend_skinning(vertices, held, joints, weights),
+        file_corners=np.concatenate([each.drawn.corners for each in bound])[kept],
+        joint_nodes=np.array(nodes),
+        joint_frames=frame @ worlds,
     )
+
+
+class _Skinned(NamedTuple):
+    """A primitive and the number of its skin, None for none."""
+
+    drawn: Drawn
+    skin: int | None
+
+
+class _Bound(NamedTuple):
+    """A primitive in the pose that the body is taken in. positions: (V, 3), scene. joints, weights: (V, K)."""
+
+    drawn: Drawn
+    positions: np.ndarray
+    joints: np.ndarray
+    weights: np.ndarray
+
+
+def _on(drawn: Drawn, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    """Influences (V, 1) of one joint, and their weights."""
+    count = len(drawn.positions)
+    return np.full((count, 1), joint), np.ones((count, 1))
+
+
+def _lying_at(drawn: Drawn, transform: np.ndarray, bound: Sequence[_Bound]) -> _Bound:
+    """A primitive without skinning weights on the joint that most skin next to it hangs on. transform: (3, 4)."""
+    from scipy.spatial import cKDTree
+
+    placed = drawn.positions @ transform[:, :3].T + transform[:, 3]
+    strongest = [np.take_along_axis(each.joints, each.weights.argmax(axis=1)[:, None], axis=1)[:, 0] for each in bound]
+    near = np.concatenate(strongest)[cKDTree(np.concatenate([each.positions for each in bound])).query(placed)[1]]
+    return _Bound(drawn, placed, *_on(drawn, int(np.bincount(near).argmax())))
+
+
+def _mended(file: GltfFile, humanoid: Mapping[str, int]) -> list[str]:
+    """What was wrong with nodes that decide nothing, a warning each. Raises ContentError where one is, or bears, a bone
+    that has a name."""
+    telling = (k for k, node in enumerate(file.nodes) if k in humanoid.values() or read_name(node.text("name")).bones)
+    deciding = {above for node in telling for above in ancestors(file.node_parents, node)}
+    for node, fault in file.mended.items():
+        if node in deciding and "turns by nothing" not in fault:
+            raise ContentError(fault)
+    return [f"{shown(file.nodes[node].text('name'))}: {fault}; taken as none" for node, fault in file.mended.items()]
 
 
 def _part_names(file: GltfFile, drawn: Drawn) -> tuple[str, ...]:
@@ -131,82 +208,49 @@ def _part_names(file: GltfFile, drawn: Drawn) -> tuple[str, ...]:
     return tuple(filter(None, (*named, file.nodes[drawn.node].text("name")))) or (f"node {drawn.node}",)
 
 
-def _joints(file: GltfFile, humanoid: dict[str, int]) -> tuple[list[int], dict[int, int]]:
-    """Nodes of the skeleton, parents first, and the joint index of each.
-
-    These are all skins' joints, the VRM humanoid bones (a skin need not use them all), and their ancestors.
-    """
-    nodes: set[int] = set()
-    skinned = (joint for skin in file.document.entries("skins") for joint in _named(file, skin))
-    for joint in (*humanoid.values(), *skinned):
-        while joint >= 0 and joint not in nodes:
-            nodes.add(joint)
-            joint = int(file.node_parents[joint])
-    check_bone_count(len(nodes))
-    joint_nodes = [node for node in file.node_order if node in nodes]
-    return joint_nodes, {node: joint for joint, node in enumerate(joint_nodes)}
-
-
-def _skin_joints(file: GltfFile, skin: int) -> list[int]:
-    return _named(file, file.document.item("skins", skin))
-
-
-def _named(file: GltfFile, skin: GltfEntry) -> list[int]:
-    """Nodes that are the joints of a skin."""
-    nodes = skin.indices("joints")
-    if not nodes or max(nodes) >= len(file.nodes):
-        raise ContentError(f"joints of {skin.where} are {shown(nodes)}, allowed are nodes 0 to {len(file.nodes) - 1}")
-    return nodes
-
-
-def _skin_influences(file: GltfFile, drawn: Drawn, skin: int, label: str) -> tuple[np.ndarray, np.ndarray, int]:
-    """Indices into the skin's joints (V, K), weights (V, K) with rows summing to 1, and how many vertices had none."""
+def _skin_influences(file: GltfFile, drawn: Drawn, limit: int, label: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Indices into the skin's joints (V, K), below `limit`, weights (V, K) with rows summing to 1, and what was mended.
+    Those of vertices that no face uses do not matter."""
     joints, weights, count = [], [], len(drawn.positions)
     while (named := file.attribute(drawn.primitive, f"JOINTS_{len(joints)}")) is not None:
         joints.append(named)
         found = file.attribute(drawn.primitive, f"WEIGHTS_{len(weights)}")
         weights.append(np.empty((0, 0)) if found is None else found.astype(np.float64))
         check_influence_count(sum(each.shape[1] for each in joints))
-    if not joints:
-        raise ContentError(f"mesh {label} has a skin but no JOINTS_0 and WEIGHTS_0")
     if any(one.shape != other.shape or len(one) != count for one, other in zip(joints, weights)):
         shapes = ", ".join(f"{one.shape} and {other.shape}" for one, other in zip(joints, weights))
         raise ContentError(f"mesh {label} has {count} vertices, joints and weights {shapes}; these must agree")
-    joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-    if not np.isfinite(weight).all() or weight.min() < 0:
+    joint, weight, said = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1), []
+    unused = np.ones(count, dtype=bool)
+    unused[drawn.faces] = False
+    weight[unused] = 0
+    odd = ~np.isfinite(weight)
+    weight[odd] = 0
+    if odd.any(axis=1).mean() > FEW or weight.min() < -SLIGHT:
         raise ContentError(f"skinning weights of mesh {label} must be finite and not negative")
-    limit = len(_skin_joints(file, skin))
+    mended = np.flatnonzero((odd | (weight < 0)).any(axis=1) & ~unused)
+    if len(mended):
+        what = f"{len(mended)} vertices of {label} have skinning weights that are below 0 or not finite"
+        said.append(f"{what}, the first is {mended[0]}: taken as 0")
+    weight = np.maximum(weight, 0)
     joint = np.where(weight > 0, joint, 0)
     if joint.dtype.kind != "i" or joint.min() < 0 or joint.max() >= limit:
         raise ContentError(f"mesh {label} names joint {joint.max()}, allowed 0 to {limit - 1}")
     total = weight.sum(axis=1)
     weight[total <= 0, 0] = 1.0
-    return joint, weight / weight.sum(axis=1, keepdims=True), int((total <= 0).sum())
+    if unbound := int(((total <= 0) & ~unused).sum()):
+        said.append(f"{unbound} vertices of {label} have no skinning weights: bound to the first joint")
+    return joint, weight / weight.sum(axis=1, keepdims=True), said
 
 
-def _skin_transforms(file: GltfFile, skin: int) -> np.ndarray:
-    """(joints, 3, 4) from mesh space to the scene, for each joint of a skin."""
-    joints, matrices = _skin_joints(file, skin), file.document.item("skins", skin).index("inverseBindMatrices")
-    inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
-    if matrices is not None:
-        stored = file.accessor(matrices)
-        if len(stored) < len(joints) or stored.shape[1] != 16 or not np.isfinite(stored).all():
-            raise ContentError(
-                f"skin {skin} has {len(joints)} joints and {len(stored)} inverse bind matrices of {stored.shape[1]} "
-                "numbers; each joint needs a finite one of 16"
-            )
-        inverse_bind = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
-    return (file.node_worlds[joints] @ inverse_bind)[:, :3]
-
-
-def _joint_tails(file: GltfFile, joint_nodes: list[int]) -> np.ndarray:
+def _joint_tails(file: GltfFile, skeleton: GltfSkeleton) -> np.ndarray:
     """(j, 3) place of a joint's child node named `JOINT_end` (as modelling tools export leaf bones), else NaN."""
-    tails = np.full((len(joint_nodes), 3), np.nan)
-    for joint, node in enumerate(joint_nodes):
+    tails = np.full((len(skeleton.nodes), 3), np.nan)
+    for joint, node in enumerate(skeleton.nodes):
         end = f"{file.nodes[node].text('name')}{END_SUFFIX}"
         for child in file.node_children[node]:
             if file.nodes[child].text("name") == end:
-                tails[joint] = file.node_worlds[child][:3, 3]
+                tails[joint] = skeleton.worlds[child][:3, 3]
     return tails
 
 

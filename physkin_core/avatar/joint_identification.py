@@ -24,6 +24,8 @@ __all__ = ["identify_bones"]
 SHARE_OF_SKIN = {"arm": 0.58, "leg": 0.84}
 """Elbow to wrist over elbow to fingertips; knee to ankle over knee to sole."""
 ROUNDS = 3
+TOES = 0.05
+"""Share of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right."""
 
 
 def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None) -> tuple[SkinnedMesh, HumanSkeleton]:
@@ -38,6 +40,12 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None)
     by_hand = read_bones_file(bones, Path(mesh.source), rig.bone_names, mesh.joint_names)
     said = {"humanoid": mesh.humanoid, "by_hand": by_hand}
     skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, **said)
+    if not skeleton.sides_told and not skeleton.missing:
+        left = _left_by_feet(mesh, skeleton.joints)
+        if left < -TOES:
+            skeleton = skeleton.mirrored()
+        elif left > TOES:
+            skeleton = replace(skeleton, doubt="")
     longer, added = _with_limb_ends(mesh, skeleton.joints)
     missing = tuple(bone for bone in skeleton.missing if bone not in added)
     if missing:
@@ -48,6 +56,18 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None)
         remarks += (f"the skeleton has no joint for {', '.join(added)}: put where skin says that the limb ends",)
     longer = replace(longer, warnings=(*mesh.warnings, *remarks))
     return longer, replace(skeleton, joints=skeleton.joints | added, missing=())
+
+
+def _left_by_feet(mesh: SkinnedMesh, joints: Mapping[str, int]) -> float:
+    """How far, in lengths of a shin, feet's skin lies before the ankles if the joints' left is left; below 0 behind
+    them. joints: by rig bone."""
+    heads = {bone: mesh.joint_heads[joint] for bone, joint in joints.items()}
+    hips, ankles = ([heads[f"{bone}.{side}"] for side in "LR"] for bone in ("upperleg01", "foot"))
+    shin = np.linalg.norm(ankles[0] - heads["lowerleg01.L"])
+    forward = np.cross(hips[0] - hips[1], hips[0] + hips[1] - ankles[0] - ankles[1])
+    skins = [mesh.vertices[_carried(mesh, joints[f"foot.{side}"])] for side in "LR"]
+    toes = sum((skin.mean(axis=0) - ankle for skin, ankle in zip(skins, ankles) if len(skin)), np.zeros(3))
+    return float(toes @ forward / max(2 * shin * np.linalg.norm(forward), 1e-12))
 
 
 def _with_limb_ends(mesh: SkinnedMesh, named: Mapping[str, int]) -> tuple[SkinnedMesh, dict[str, int]]:
@@ -70,6 +90,10 @@ def _with_limb_ends(mesh: SkinnedMesh, named: Mapping[str, int]) -> tuple[Skinne
         joint_parents=np.concatenate([mesh.joint_parents, parents]),
         joint_heads=np.concatenate([mesh.joint_heads, heads]),
         joint_tails=np.concatenate([mesh.joint_tails, np.full((len(heads), 3), np.nan)]),
+        joint_nodes=None if mesh.joint_nodes is None else np.append(mesh.joint_nodes, [-1] * len(heads)),
+        joint_frames=None
+        if mesh.joint_frames is None
+        else mesh.joint_frames[[*range(len(mesh.joint_heads)), *parents]],
     )
     return added, {bone: len(mesh.joint_names) + k for k, bone in enumerate(ends)}
 

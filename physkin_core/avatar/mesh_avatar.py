@@ -142,7 +142,7 @@ def _with_template_weights(mesh: SkinnedMesh, rig: Rig) -> SkinnedMesh:
     body = _template(rig, mesh.source)
     mesh, skeleton = identify_bones(mesh, rig)
     bone_joint = skeleton.joints
-    mesh = turn_upright(mesh, bone_joint)
+    mesh = turn_upright(mesh, bone_joint, rig)
     heads, tails, _ = place_bones(mesh, bone_joint, rig, root_joint=bone_joint.get(rig.bone_names[0]))
     bones, weights = carry_influences(mesh.vertices, mesh.faces, template_on_skeleton(body, heads), body)
     warning = "the rig file has no skinning weights: they come from the template body by closest point"

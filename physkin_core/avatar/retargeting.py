@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.avatar.appendages import with_appendages_apart
 from physkin_core.avatar.avatar import Avatar, AvatarError
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.avatar.body_parts import split_body
+from physkin_core.avatar.body_parts import bare_parts, split_body
 from physkin_core.avatar.joint_identification import identify_bones
 from physkin_core.avatar.skin_beneath import with_skin_beneath
 from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
@@ -39,15 +40,18 @@ def retarget(mesh: SkinnedMesh, rig: Rig, *, bones: str | Path | None = None) ->
     """
     mesh, skeleton = identify_bones(mesh, rig, bones)
     bone_joint = skeleton.joints
-    mesh = turn_upright(mesh, bone_joint)
+    mesh = turn_upright(mesh, bone_joint, rig)
     mesh = _canonical(mesh, bone_joint, rig)
     check_size(mesh.vertices, mesh.source)
     scale = _leg_ratio({bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}, rig, rig.heads)
     joint_bones = _joint_bones(mesh, bone_joint, rig)
-    whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
-    mesh = parts.body
     root_joint = bone_joint.get(rig.bone_names[0]) if skeleton.own_names else None
     heads, tails, root = place_bones(mesh, bone_joint, rig, root_joint=root_joint)
+    placed = {"heads": heads, "tails": tails, "scale": scale}
+    mesh = with_appendages_apart(mesh, bone_joint, joint_bones, rig, **placed)
+    whole, parts = mesh, split_body(mesh, joint_bones, rig, scale=scale)
+    mesh = parts.body
+    of_file = _file_joints(mesh, bone_joint, rig, root)
     closed = whole if parts.clothes else mesh  # skin may be hands and face alone
     outward = slice(None, None, _orientation(closed.vertices, closed.faces))
 
@@ -65,11 +69,16 @@ def retarget(mesh: SkinnedMesh, rig: Rig, *, bones: str | Path | None = None) ->
             bone_names=rig.bone_names,
             file_vertices=part.file_vertices,
             file_corners=None if part.file_corners is None else part.file_corners[:, outward],
+            **of_file,
         )
 
     clothes = tuple(map(bound, parts.clothes))
+    skin = with_skin_beneath(bound(mesh), clothes)
+    bare = bare_parts(skin, rig)
+    said = (f"the body has no skin on {', '.join(bare)}: clothes there have nothing to lie on",) if bare else ()
     return replace(
-        with_skin_beneath(bound(mesh), clothes),
+        skin,
+        warnings=(*skin.warnings, *said),
         accessories=None if parts.accessories is None else bound(parts.accessories),
         clothes=clothes,
     )
@@ -177,8 +186,27 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
         mesh,
         vertices=linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
         joint_heads=posed,
+        joint_frames=None if mesh.joint_frames is None else _as_4x4(transforms) @ mesh.joint_frames,
         joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
     )
+
+
+def _as_4x4(transforms: np.ndarray) -> np.ndarray:
+    """(j, 4, 4) of (j, 3, 4)."""
+    return np.concatenate([transforms, np.tile([0.0, 0.0, 0.0, 1.0], (len(transforms), 1, 1))], axis=1)
+
+
+def _file_joints(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, root: np.ndarray) -> dict:
+    """What `Avatar` keeps of the file's joints; nothing where the file has none."""
+    if mesh.joint_nodes is None:
+        return {}
+    nodes, frames = np.full(rig.bone_count, -1), np.full((rig.bone_count, 4, 4), np.nan)
+    for bone, joint in bone_joint.items():
+        if mesh.joint_nodes[joint] >= 0:
+            index = rig.bone_index(bone)
+            nodes[index], frames[index] = mesh.joint_nodes[joint], mesh.joint_frames[joint]
+    frames[:, :3, 3] -= root
+    return {"file_joints": nodes, "file_joint_frames": frames}
 
 
 def _joint_bones(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> np.ndarray:

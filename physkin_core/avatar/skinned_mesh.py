@@ -13,7 +13,8 @@ import numpy as np
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.file_reading import ContentError
 from physkin_core.model.garment import surface_fault
-from physkin_core.rig.rig import MOST_BONES
+from physkin_core.rig.canonical_pose import nearest_quarter_turn
+from physkin_core.rig.rig import MOST_BONES, Rig
 
 __all__ = [
     "SkinnedMesh",
@@ -30,7 +31,9 @@ HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
-
+MOST_HEADING, MOST_LEAN = 3.0, 0.07
+"""How far asymmetry turns a skeleton's heading [degrees], and how far trunk and legs both lean one way [radians] by
+their shape; a stoop is the trunk's alone."""
 
 MOST_INFLUENCES = 16
 """Of a vertex."""
@@ -47,6 +50,8 @@ class SkinnedMesh:
     part_names: names of each part of the mesh, the most telling first, and face_parts: (f,) the part of each face; None
     for a mesh of one part. clear_parts: those of a material that may show what is behind it, and seen: (f,) bool, faces
     where it does not; None: all. file_vertices: (V, 3) in the file's own frame and unit. file_corners: as in `Avatar`.
+    joint_nodes: (j,) of the file, -1 for joints that it lacks, and joint_frames: (j, 4, 4) from each joint's own frame
+    there to this mesh's; None for files without nodes.
     """
 
     vertices: np.ndarray
@@ -66,6 +71,8 @@ class SkinnedMesh:
     seen: np.ndarray | None = None
     file_vertices: np.ndarray | None = None
     file_corners: np.ndarray | None = None
+    joint_nodes: np.ndarray | None = None
+    joint_frames: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -146,35 +153,69 @@ def check_size(vertices: np.ndarray, source: str) -> None:
         )
 
 
-def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int]) -> SkinnedMesh:
-    """Turn by quarters until the skeleton stands up and looks forward; a warning says when that was needed."""
+def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> SkinnedMesh:
+    """Turn until the skeleton stands up and looks forward: by quarters, and on where it is still turned or tilted more
+    than a posture explains. A warning says when that was needed."""
     from scipy.spatial.transform import Rotation
 
     ends = [f"{bone}.{side}" for bone in ("upperarm01", "upperleg01") for side in "LR"]
     if any(name not in bone_joint for name in ends):
         return mesh
-    left_arm, right_arm, left_leg, right_leg = (mesh.joint_heads[bone_joint[name]] for name in ends)
+    heads = {bone: mesh.joint_heads[joint] for bone, joint in bone_joint.items()}
+    left_arm, right_arm, left_leg, right_leg = (heads[name] for name in ends)
     up = (left_arm + right_arm) - (left_leg + right_leg)
     left = (left_arm - right_arm) + (left_leg - right_leg)
     if min(np.linalg.norm(up), np.linalg.norm(left), np.linalg.norm(np.cross(left, up))) < 1e-6:
         raise AvatarError(
             f"avatar {mesh.source}: shoulders and hips fall together, the skeleton has no upright direction"
         )
-    up, left = up / np.linalg.norm(up), left / np.linalg.norm(left)
-    axes = np.stack([np.cross(left, up), left, up], axis=1)
-    quarter_turns = np.round(Rotation.create_group("O").as_matrix())  # the 24 that take axes to axes
-    turn = max(quarter_turns, key=lambda candidate: np.trace(candidate @ axes))
+    turn, warnings = nearest_quarter_turn(_axes(left, up).T), mesh.warnings
+    if not np.array_equal(turn, np.eye(3)):
+        facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
+        warnings += (f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned",)
+    own, usual = _standing_axes({bone: turn @ at for bone, at in heads.items()}), _standing_axes(_heads_of(rig))
+    heading = np.degrees(np.arctan2(-own[0][0, 1], own[0][1, 1]))
+    leans = [one[:, 2] - other[:, 2] for one, other in zip(own[1:], usual[1:])]
+    least = min(map(np.linalg.norm, leans))
+    if least > MOST_LEAN and leans[0] @ leans[1] > 0:
+        turn = usual[0] @ own[0].T @ turn
+        warnings += (f"the skeleton is tilted by {np.degrees(least):.0f} degrees: turned upright",)
+    elif abs(heading) > MOST_HEADING:
+        turn = Rotation.from_euler("z", -heading, degrees=True).as_matrix() @ turn
+        warnings += (f"the skeleton is turned by {heading:.0f} degrees about the upright axis: turned back",)
     if np.array_equal(turn, np.eye(3)):
         return mesh
-    facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
-    warning = f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned"
+    turned = np.eye(4)
+    turned[:3, :3] = turn
     return replace(
         mesh,
         vertices=mesh.vertices @ turn.T,
         joint_heads=mesh.joint_heads @ turn.T,
         joint_tails=mesh.joint_tails @ turn.T,
-        warnings=(*mesh.warnings, warning),
+        joint_frames=None if mesh.joint_frames is None else turned @ mesh.joint_frames,
+        warnings=warnings,
     )
+
+
+def _heads_of(rig: Rig) -> dict[str, np.ndarray]:
+    return dict(zip(rig.bone_names, rig.heads))
+
+
+def _standing_axes(heads: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Of somebody whose joints are at (3,): columns forward, left and up (3, 3), where up is from between the feet to
+    between the shoulders; and the same with the way up of the trunk, and of the legs."""
+    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in ("upperarm01", "upperleg01"))
+    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
+    bones = "upperarm01", "upperleg01"
+    left = sum(heads[f"{bone}.L"] - heads[f"{bone}.R"] for bone in bones)
+    ways_up = shoulders - feet, shoulders - hips, hips - feet
+    return [_axes(left, up - left * (left @ up) / (left @ left)) for up in ways_up]
+
+
+def _axes(left: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3, 3) columns forward, left and up, of two directions (3,)."""
+    left, up = left / np.linalg.norm(left), up / np.linalg.norm(up)
+    return np.stack([np.cross(left, up), left, up], axis=1)
 
 
 def _axis_name(direction: np.ndarray) -> str:

@@ -13,6 +13,8 @@ __all__ = ["OutfitCheck", "reason_and_advice"]
 HOLE_PERCENT, WIDE_HOLE_PERCENT = 0.1, 1.0
 """From here on holes are not good, and bad."""
 FAR_PIVOT_MM, FAR_SKIN_MM, FAR_SHAPE, FAR_LENGTH = 40.0, 10.0, 2.0, 1.25
+USUAL_HEIGHT, SMALL_HEIGHT = 1.7, 1.4
+"""[m] Bodies below the second are children's, or stylised."""
 MUCH_OVERLAP = 5.0
 """From here on a figure is what the reason is about."""
 
@@ -21,7 +23,8 @@ MUCH_OVERLAP = 5.0
 class OutfitCheck:
     """What was found. garments: by name. hole_percent: of `hole_percent`. overlap_percent: of `body_overlap`.
     measured: whether all garments are made to measure. limbs_apart: whether limbs were separated. undressed: whether
-    clothes that the avatar wears already are not shown."""
+    clothes that the avatar wears already are not shown. bare: as of `bare_parts`.
+    height: of the body at rest [m]."""
 
     garments: Mapping[str, GarmentCheck]
     known: Likeness
@@ -30,6 +33,8 @@ class OutfitCheck:
     measured: bool = True
     limbs_apart: bool = False
     undressed: bool = False
+    bare: tuple[str, ...] = ()
+    height: float = USUAL_HEIGHT
 
     @property
     def verdict(self) -> Verdict:
@@ -44,6 +49,8 @@ def reason_and_advice(found: OutfitCheck) -> tuple[str, str]:
     if found.verdict == "good":
         return "", "Wear it."
     name, worst = max(found.garments.items(), key=lambda item: VERDICTS.index(item[1].verdict))
+    if found.bare:
+        return f"The body has no skin on {', '.join(found.bare)}.", "Wear what does not cover that."
     if found.hole_percent >= HOLE_PERCENT:
         share = f"{found.hole_percent:.1f} % of what one sees is the inside of the body: its skin has holes."
         if found.undressed:
@@ -55,6 +62,8 @@ def reason_and_advice(found: OutfitCheck) -> tuple[str, str]:
     if found.overlap_percent > MUCH_OVERLAP and not found.limbs_apart:
         overlap = f"In everyday poses {found.overlap_percent:.0f} % of the skin is inside the body."
         return overlap, "Move arms and legs out of it: --separate-limbs."
+    if found.height < SMALL_HEIGHT:
+        return f"The body is {found.height:.2f} m tall, and garments were made for adults.", ""
     return _cause(found.known) or _where(worst), ""
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.avatar.body_parts import bare_parts
 from physkin_core.check.advice import OutfitCheck, reason_and_advice
 from physkin_core.check.garment_check import check_garment
 from physkin_core.check.likeness import body_overlap, likeness
@@ -63,6 +64,8 @@ def main(argv: list[str]) -> int:
         overlap_percent=body_overlap(avatar, rig, poses),
         measured=all(layer.fit == 1 for layer in outfit.layers),
         limbs_apart=options.separate_limbs,
+        height=float(np.ptp(outfit.avatar.vertices[:, 2])),
+        bare=bare_parts(outfit.avatar, rig),
         undressed=len(outfit.avatar.clothes) < len(avatar.clothes),
     )
     report = _report(outfit, found)

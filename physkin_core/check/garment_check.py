@@ -14,6 +14,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.check.sight import Surface, skin_shows
+from physkin_core.check.thinned_body import thinned
 from physkin_core.model.garment import Garment
 from physkin_core.model.surface_paths import hem_distances, openings
 from physkin_core.motion.everyday_poses import everyday_poses
@@ -138,10 +139,10 @@ def check_garment(layer: Layer, avatar: Avatar, *, poses: np.ndarray | None = No
     at_rest = rest_check(layer.model.garment, lying, avatar.vertices, avatar.faces)
     usual, downs = everyday_poses(rig)
     positions = usual if poses is None else poses
-    distances, strains = [], []
+    posed, distances, strains = thinned(avatar), [], []
     for pose, cloth in zip(positions, layer.drape(zip(positions, downs))):
-        body = avatar.posed_vertices(rig.bone_transforms(pose, heads=avatar.bone_heads))
-        distances.append(signed_distance(cloth[:, :3], body, avatar.faces))
+        body = posed.posed_vertices(rig.bone_transforms(pose, heads=avatar.bone_heads))
+        distances.append(signed_distance(cloth[:, :3], body, posed.faces))
         strains.append(edge_strain(layer.rest_garment, cloth[:, :3]))
     contact = contact_figures(np.array(distances))
     everyday = Everyday(

@@ -12,6 +12,7 @@ import numpy as np
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.shape_fitting import lay_body
+from physkin_core.check.thinned_body import thinned
 from physkin_core.model.garment import vertex_normals
 from physkin_core.rig.rig import Rig
 
@@ -64,6 +65,7 @@ def body_overlap(avatar: Avatar, rig: Rig, poses: np.ndarray) -> float:
     just under the skin that are inside twice, by winding number. Only a closed surface can tell."""
     from point_cloud_utils import triangle_soup_fast_winding_number
 
+    avatar = thinned(avatar)
     chosen = slice(None, None, max(1, len(avatar.vertices) // MEASURED_POINTS))
     faces = avatar.faces.astype(np.int64)
     shares = []

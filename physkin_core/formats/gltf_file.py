@@ -21,6 +21,8 @@ COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9
 INDEX_TYPES = {5121: np.dtype("<u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 COMPONENT_TYPES = {5120: np.dtype("<i1"), 5122: np.dtype("<i2"), **INDEX_TYPES, 5126: np.dtype("<f4")}
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+SHORTEST_QUATERNION = 1e-6
+"""A rotation's quaternion that is shorter was never set."""
 
 
 class GltfFile:
@@ -28,10 +30,11 @@ class GltfFile:
     way. What it declares is compared with what it holds before memory is taken for it.
 
     document: its JSON. nodes: (g,). node_parents: (g,) int, -1 for none. node_order: a parent before its children.
-    node_worlds: (g, 4, 4) from node to scene.
+    node_locals, node_worlds: (g, 4, 4) from node to its parent, and to the scene. mended: why a node is taken to be
+    where its parent is, or not to be turned, by node. lenient: mend transforms that are not finite, too.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, lenient: bool = False) -> None:
         self.path = path
         self.document, binary = parse_gltf(read_bytes(path))
         self.nodes = self.document.entries("nodes")
@@ -41,10 +44,12 @@ class GltfFile:
         self.buffers = [self._buffer(index, entry, binary) for index, entry in enumerate(entries)]
         self.node_children = [node.indices("children") for node in self.nodes]
         self.node_parents, self.node_order = self._hierarchy()
-        self.node_worlds = np.empty((len(self.nodes), 4, 4))
+        self.mended: dict[int, str] = {}
+        self.node_locals = np.array([self._local_transform(node, lenient) for node in range(len(self.nodes))])
+        self.node_worlds = self.node_locals.reshape(-1, 4, 4).copy()
         for node in self.node_order:
-            local, parent = _local_transform(self.nodes[node]), self.node_parents[node]
-            self.node_worlds[node] = local if parent < 0 else self.node_worlds[parent] @ local
+            if (parent := self.node_parents[node]) >= 0:
+                self.node_worlds[node] = self.node_worlds[parent] @ self.node_locals[node]
 
     def accessor(self, index: int) -> np.ndarray:
         """(N, components) array of an accessor: integers as stored, floats and normalised integers as float64."""
@@ -115,6 +120,28 @@ class GltfFile:
             if self.node_parents[node] in inside:
                 inside.add(node)
         return [node for node in self.node_order if node in inside]
+
+    def _local_transform(self, number: int, lenient: bool) -> np.ndarray:
+        """(4, 4) from the node to its parent."""
+        from scipy.spatial.transform import Rotation
+
+        node, local = self.nodes[number], np.eye(4)
+        try:
+            matrix, quaternion = node.numbers("matrix", 16), node.numbers("rotation", 4) or (0.0, 0.0, 0.0, 1.0)
+            scale, place = node.numbers("scale", 3) or (1, 1, 1), node.numbers("translation", 3) or (0, 0, 0)
+        except ContentError as error:
+            if not lenient:
+                raise
+            self.mended[number] = str(error)
+            return local
+        if matrix is not None:
+            return np.array(matrix).reshape(4, 4).T
+        if np.linalg.norm(quaternion) < SHORTEST_QUATERNION:
+            self.mended[number] = f"{node.where}.rotation is {quaternion}, which turns by nothing"
+            quaternion = (0.0, 0.0, 0.0, 1.0)
+        local[:3, :3] = Rotation.from_quat(quaternion).as_matrix() * np.array(scale)
+        local[:3, 3] = place
+        return local
 
     def _with_sparse(self, sparse: GltfEntry, data: np.ndarray) -> np.ndarray:
         """Data (N, components) with some of its elements replaced."""
@@ -217,17 +244,3 @@ def _numbers(data: np.ndarray, dtype: np.dtype, accessor: GltfEntry) -> np.ndarr
     if accessor.members.get("normalized"):
         return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
     return data.astype(np.int64)
-
-
-def _local_transform(node: GltfEntry) -> np.ndarray:
-    """(4, 4) from the node to its parent."""
-    from scipy.spatial.transform import Rotation
-
-    matrix = node.numbers("matrix", 16)
-    if matrix is not None:
-        return np.array(matrix).reshape(4, 4).T
-    rotation = Rotation.from_quat(node.numbers("rotation", 4) or (0, 0, 0, 1)).as_matrix()
-    local = np.eye(4)
-    local[:3, :3] = rotation * np.array(node.numbers("scale", 3) or (1, 1, 1))
-    local[:3, 3] = node.numbers("translation", 3) or (0, 0, 0)
-    return local

@@ -5,7 +5,7 @@ Dimensions: `V` vertices and `f` faces of a primitive.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,8 @@ __all__ = ["Drawn", "drawn_primitives", "in_scene", "material_of"]
 class Drawn(NamedTuple):
     """A primitive at a node.
 
-    positions: (V, 3) in mesh space, with default morph weights applied. faces: (f, 3) as the scene shows them.
+    positions: (V, 3) in mesh space, with the node's morph weights applied, or else the mesh's. faces: (f, 3) as the
+    scene shows them.
     corners: (f, 3) numbers of their corners, counted over the whole file.
     """
 
@@ -46,7 +47,8 @@ def drawn_primitives(file: GltfFile) -> Iterator[Drawn]:
             faces = file.triangles(primitive)
             if len(faces) == 0:
                 continue
-            positions = _positions(file, mesh, primitive)
+            weights = file.nodes[node].numbers("weights") or mesh.numbers("weights") or []
+            positions = _positions(file, weights, primitive)
             mirrored = "skin" not in file.nodes[node] and np.linalg.det(file.node_worlds[node][:3, :3]) < 0
             faces = _checked(faces, len(positions))[:, :: -1 if mirrored else 1]
             yield Drawn(node, mesh, primitive, positions, faces, corners + np.arange(faces.size).reshape(-1, 3))
@@ -65,11 +67,12 @@ def material_of(file: GltfFile, primitive: GltfEntry) -> GltfEntry | None:
     return None if index is None else file.document.item("materials", index)
 
 
-def _positions(file: GltfFile, mesh: GltfEntry, primitive: GltfEntry) -> np.ndarray:
+def _positions(file: GltfFile, weights: Sequence[float], primitive: GltfEntry) -> np.ndarray:
+    """(V, 3) with morph targets of these weights applied."""
     positions = file.attribute(primitive, "POSITION").astype(np.float64)
     if positions.shape[1] != 3:
         raise ContentError(f"POSITION of {primitive.where} has {positions.shape[1]} numbers, it must have 3")
-    for weight, target in zip(mesh.numbers("weights") or (), primitive.entries("targets")):
+    for weight, target in zip(weights, primitive.entries("targets")):
         offset = target.index("POSITION")
         if weight and offset is not None:
             moved = file.accessor(offset)

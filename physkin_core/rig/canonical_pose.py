@@ -13,7 +13,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-__all__ = ["LIMB_SEGMENTS", "limb_rotations", "smallest_rotation", "t_pose_rotations", "turned_down_the_chain"]
+__all__ = [
+    *("LIMB_SEGMENTS", "limb_rotations", "nearest_quarter_turn", "smallest_rotation", "t_pose_rotations"),
+    "turned_down_the_chain",
+]
 
 LIMB_SEGMENTS = {
     f"{start}.{side}": (f"{start}.{side}", f"{end}.{side}")
@@ -42,6 +45,14 @@ def smallest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     x, y, z = np.cross(a, b)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + cosine)
+
+
+def nearest_quarter_turn(turn: np.ndarray) -> np.ndarray:
+    """The orthogonal matrix nearest to `turn` (3, 3) that takes axes to axes, a mirror image where that is one."""
+    from scipy.spatial.transform import Rotation
+
+    quarters = np.sign(np.linalg.det(turn)) * np.round(Rotation.create_group("O").as_matrix())
+    return max(quarters, key=lambda candidate: np.trace(candidate.T @ turn))
 
 
 def limb_rotations(heads: Mapping[str, np.ndarray], canonical_heads: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -66,6 +66,8 @@ BRANCH = 0.4
 """Share of the longest branch's length from which on another one counts as a branch, as thumb and fingers do."""
 PART_WAY = 0.9
 """Such a share for a branch without joints below it, which may just divide a bone as twist joints do."""
+LONG_NECK = 1.6
+"""Times its usual length over the trunk's: the last joint within is where the head begins."""
 CLAVICLE = 0.02
 """Least length of a collar bone that its place alone tells."""
 FACING = 0.005
@@ -87,6 +89,7 @@ class HumanSkeleton:
         missing: required bones that no joint was recognised as.
         own_names: whether all required bones have joints of the rig's own names.
         doubt: what else could not be told, a sentence; "" for nothing.
+        sides_told: whether names tell left from right.
     """
 
     joints: dict[str, int]
@@ -94,6 +97,20 @@ class HumanSkeleton:
     missing: tuple[str, ...]
     own_names: bool = False
     doubt: str = ""
+    sides_told: bool = True
+
+    def mirrored(self) -> HumanSkeleton:
+        """The same with left and right exchanged, which is then in no doubt."""
+        other = {"L": "R", "R": "L"}
+
+        def swapped(table: Mapping[str, float]) -> dict:
+            split = {bone: bone.split(".") for bone in table}
+            return {
+                ".".join([name, *(other[side] for side in sides)]): table[bone]
+                for bone, (name, *sides) in split.items()
+            }
+
+        return replace(self, joints=swapped(self.joints), costs=swapped(self.costs), doubt="")
 
     def remarks(self, names: Sequence[str]) -> tuple[str, ...]:
         """What was assumed, for the user to read: joints that were taken for their place, and the doubt."""
@@ -152,8 +169,8 @@ def find_human_skeleton(
     Args:
         names: of the joints; they may say nothing.
         parents: (j,) -1 for none, a parent before its children.
-        heads: (j, 3) places of the joints in any pose. Limbs that no name tells must be held symmetrically, across one
-            of the axes; where no name tells left from right, feet, knees or elbows tell where the skeleton faces.
+        heads: (j, 3) places of the joints in any pose. Limbs that no name tells must be held symmetrically;
+            where no name tells left from right, feet, knees or elbows tell where the skeleton faces.
         rig: the default rig. For one without its limbs, joints of its own names are found only.
         humanoid: joint by VRM humanoid bone; replaces the names where a file has it.
         by_hand: joint by rig bone, of a bones file; wins over all else.
@@ -168,14 +185,15 @@ def find_human_skeleton(
         names[joint] = bone
     plain = {plain_name(name): joint for joint, name in reversed(list(enumerate(names)))}
     joints = {bone: plain[plain_name(bone)] for bone in rig.bone_names if plain_name(bone) in plain}
-    costs, doubt = dict.fromkeys(joints, 0.0), ""
+    costs, doubt, told = dict.fromkeys(joints, 0.0), "", True
     own_names = all(bone in joints for bone in required)
     if not own_names and all(f"{bone}.{side}" in required for _, bone, side in _limb_bones()):
         tree = _Tree(names, np.asarray(parents), np.asarray(heads, dtype=np.float64))
-        joints, doubt = _recognised(tree, rig)
+        joints, doubt, told = _recognised(tree, rig)
         joints = {bone: joint for bone, joint in joints.items() if joint not in by_hand.values()} | dict(by_hand)
         costs = {bone: float(tree.name_cost(*bone.split("."))[joints[bone]]) for bone in required if bone in joints}
-    return HumanSkeleton(joints, costs, tuple(bone for bone in required if bone not in joints), own_names, doubt)
+    missing = tuple(bone for bone in required if bone not in joints)
+    return HumanSkeleton(joints, costs, missing, own_names, doubt, told)
 
 
 def _means(name: str, bone: str) -> bool:
@@ -246,17 +264,24 @@ class _Tree:
         both = self.below[one] & self.below[other]
         return np.where(both.any(axis=1), (both * self.below.sum(axis=1)).argmax(axis=1), -1)
 
-    def mirror_images(self) -> tuple[np.ndarray, int]:
-        """(j,) the joint at the mirror image of each, across the axis that is returned, too; -1 for those that have
-        none, and for all of a skeleton that is not symmetric."""
-        best, images, across = ASYMMETRY, np.full(len(self.said), -1), 0
-        for axis in range(3):
-            gaps = np.linalg.norm((self.heads * (1 - 2 * np.eye(3)[axis]))[:, None] - self.heads, axis=2)
-            beside = np.abs(self.heads[:, axis]) > MIDDLE
-            asymmetry = gaps.min(axis=1)[beside].mean() if beside.any() else np.inf
-            if asymmetry <= best:
-                best, images, across = asymmetry, np.where(gaps.min(axis=1) < MIRROR_GAP, gaps.argmin(axis=1), -1), axis
-        return images, across
+    def mirror_images(self) -> tuple[np.ndarray, np.ndarray]:
+        """(j,) the joint at the mirror image of each, -1 for those that have none and for all of a skeleton that is not
+        symmetric; and (j,) how far each is from the mirror, which stands across an axis, or else a principal axis."""
+        best, images, off = ASYMMETRY, np.full(len(self.said), -1), np.zeros(len(self.said))
+        middle = self.heads.mean(axis=0)
+        principal = np.linalg.eigh(np.cov((self.heads - middle).T, bias=True))[1].T
+        for normals, at in ((np.eye(3), np.zeros(3)), (principal, middle)):
+            for normal in normals:
+                away = (self.heads - at) @ normal
+                gaps = np.linalg.norm((self.heads - 2 * away[:, None] * normal)[:, None] - self.heads, axis=2)
+                beside = np.abs(away) > MIDDLE
+                asymmetry = gaps.min(axis=1)[beside].mean() if beside.any() else np.inf
+                if asymmetry <= best:
+                    best, off = asymmetry, away
+                    images = np.where(gaps.min(axis=1) < MIRROR_GAP, gaps.argmin(axis=1), -1)
+            if (images >= 0).any():
+                break
+        return images, np.abs(off)
 
 
 @dataclass(frozen=True)
@@ -319,9 +344,9 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     reach = sum(np.minimum(np.abs(tree.along[each] - tree.along[meeting]), 0.5) for each in firsts)
     cost = costs[0, left] + costs[1, right] + (meeting >= 0) * REACH_WEIGHT * reach
     cost += both * DIFFERENCE_WEIGHT * np.minimum(differences, 1).sum(axis=0)
-    images, axis = tree.mirror_images()
+    images, off = tree.mirror_images()
     mirrored = (images[joints[:, 0]] == joints[:, 1]).all(axis=1) & (joints >= 0).all(axis=(1, 2))
-    mirrored &= (np.abs(tree.heads[firsts[0], axis]) > LIMB_OFFSET[kind]) & (meeting >= 0)
+    mirrored &= (off[firsts[0]] > LIMB_OFFSET[kind]) & (meeting >= 0)
     told_of_both = np.minimum(told[0, left], told[1, right])
     alike = (differences < UNLIKE).all(axis=0) | (joints[:, :, 2] < 0).any(axis=1)
     named = (told_of_both >= 2) & (alike | (told_of_both == 3))
@@ -331,18 +356,19 @@ def _pairs(tree: _Tree, triples: np.ndarray, kind: str) -> list[_Pair]:
     return [_Pair(joints[k], cost[k], int(meeting[k]), bool(named[k])) for k in best if np.isfinite(cost[k])]
 
 
-def _recognised(tree: _Tree, rig: Rig) -> tuple[dict[str, int], str]:
-    """Joint by rig bone, and what could not be told."""
+def _recognised(tree: _Tree, rig: Rig) -> tuple[dict[str, int], str, bool]:
+    """Joint by rig bone, what could not be told, and whether names tell left from right."""
     triples = _triples(tree)
     pairs = product(*(_pairs(tree, triples, kind) for kind in LIMB_BONES))
     cheapest_first = sorted(pairs, key=lambda both: both[0].cost + both[1].cost)
     arms, legs = next(both for both in cheapest_first if _fit_together(tree, *both))
     limbs, doubt = np.stack([arms.joints, legs.joints]), ""
-    if limbs.min() >= 0 and not _side_is_told(tree, limbs):
+    told = _side_is_told(tree, limbs)
+    if limbs.min() >= 0 and not told:
         limbs, doubt = _by_facing(tree, limbs)
     bones = [f"{bone}.{side}" for _, bone, side in _limb_bones()]
     found = {bone: int(joint) for bone, joint in zip(bones, limbs.ravel()) if joint >= 0}
-    return _with_trunk(tree, found, arms, legs, rig), doubt
+    return _with_trunk(tree, found, arms, legs, rig), doubt, told
 
 
 def _fit_together(tree: _Tree, arms: _Pair, legs: _Pair) -> bool:
@@ -399,10 +425,18 @@ def _with_trunk(tree: _Tree, joints: dict[str, int], arms: _Pair, legs: _Pair, r
             found |= _clavicle(tree, side, arm, chest)
         if not (arms.named and legs.named):
             onward = [child for child in tree.children[chest] if not tree.below[firsts, child].any()]
-            for bone in ("neck01", "head"):
-                if onward and bone not in found:
-                    found[bone] = max(onward, key=lambda joint: tree.reach[joint])
-                onward = tree.children[found[bone]] if bone in found else []
+            upwards = []
+            while onward:
+                upwards.append(max(onward, key=lambda joint: tree.reach[joint]))
+                onward = tree.children[upwards[-1]]
+            if upwards and "neck01" not in found:
+                found["neck01"] = upwards[0]
+            if len(upwards) > 1 and "head" not in found and {"neck01", "head"} <= set(rig.bone_names):
+                root, neck, head = (rig.heads[rig.bone_index(bone)] for bone in (rig.bone_names[0], "neck01", "head"))
+                usual = np.linalg.norm(head - neck) / np.linalg.norm(neck - root)
+                length = usual * (tree.along[upwards[0]] - tree.along[max(hub, 0)])
+                near = [joint for joint in upwards if tree.along[joint] - tree.along[upwards[0]] < LONG_NECK * length]
+                found["head"] = max(near[-1], upwards[1], key=upwards.index)
         if found.get("neck01") == chest:  # 3ds Max's bipeds hang their collar bones on the neck
             chest = int(tree.parents[chest])
     spine = spine_bones(rig)
@@ -421,7 +455,7 @@ def _clavicle(tree: _Tree, side: str, arm: int, chest: int) -> dict[str, int]:
     between = [joint for joint in ancestors(tree.parents, arm)[1:] if joint != chest and tree.below[joint, chest]]
     cost = tree.name_cost("clavicle", side)
     named = [joint for joint in between if cost[joint] < VAGUE]
-    placed = [j for j in between[:1] if cost[j] < CONTRADICTED and tree.along[arm] - tree.along[j] > CLAVICLE]
+    placed = [j for j in between[-1:] if cost[j] < CONTRADICTED and tree.along[arm] - tree.along[j] > CLAVICLE]
     return {f"clavicle.{side}": joint for joint in (named or placed)[:1]}
 
 

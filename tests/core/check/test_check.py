@@ -163,6 +163,8 @@ def test_overlap_is_that_of_parts_in_each_other(avatar, tshirt):
         ({"overlap_percent": 20.0, "limbs_apart": True}, "Some cloth is under the skin at rest", ""),
         ({"known": Likeness(0.5, 1.0, 1.5, "neck01", 5.0, "neck01")}, "neck01 is 1.50 times as long", ""),
         ({"known": Likeness(3.0, 1.0, 1.0, "neck01", 5.0, "neck01")}, "3.0 standard deviations", ""),
+        ({"bare": ("the left thigh",)}, "no skin on the left thigh", "Wear what does not cover that."),
+        ({"height": 1.1}, "1.10 m tall, and garments were made for adults", ""),
         ({"hole_percent": 0.7}, "0.7 % of what one sees is the inside", "Close the skin in a modelling tool"),
         ({"hole_percent": 0.7, "undressed": True}, "0.7 % of what one sees", "--own-clothes keep"),
         ({"garments": {"skirt": GarmentCheck(WELL, Everyday(0, 0, 1), 31.0)}}, "of skirt stands off by 31 mm", ""),

@@ -64,7 +64,7 @@ class OwnPose:
         if residual > LARGEST_RESIDUAL:
             raise AvatarError(
                 f"avatar {avatar.source}: its limbs' bones lead from its own pose to {1000 * residual:.1f} mm from the "
-                f"canonical one, allowed are {1000 * LARGEST_RESIDUAL:g} mm"
+                f"canonical one, allowed are {1000 * LARGEST_RESIDUAL:g} mm; save it in the pose in which it was bound"
             )
         transforms = solved.reshape(-1, 4, 3).swapaxes(1, 2)
         trunk = np.vstack([transforms[0], [0.0, 0.0, 0.0, 1.0]])

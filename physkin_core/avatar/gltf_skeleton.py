@@ -1,0 +1,313 @@
+"""The skeleton of the figure in a glTF file: its skins, its joints, and the pose that its body is taken in.
+
+How a mesh was bound stands in the inverse bind matrices of its skin. The transforms of nodes only say how the figure
+is held when the file is opened: midway through a kick, or turned to look at the door. So the body is taken from the
+bind pose, that of the skin with the most vertices; other skins come there by their own inverse bind matrices, and
+joints of no skin follow their parents.
+
+Dimensions: `g` nodes, `k` joints of a skin. glTF's frame and the file's unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from physkin_core.avatar.skinned_mesh import check_bone_count
+from physkin_core.file_reading import ContentError, listed
+from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_joints import skin_nodes
+from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
+from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
+from physkin_core.rig.rig import Rig, ancestors
+
+__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton"]
+
+SAME_POSE = 1e-3
+"""Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
+UNLIKE_LENGTHS = 1.5
+"""Poses turn bones and leave their lengths: inverse bind matrices by which the length of a limb segment differs by this
+factor from that between nodes, the median of all being one, are not those of a pose."""
+SAME_LENGTH = 0.05
+"""Share of its length by which a bone between joints of two skins that share mesh space may differ between poses."""
+STANDS = 0.5
+"""Least cosine between a thigh or shin and the way from shoulders to hips of somebody who stands."""
+AS_LARGE = 0.9
+"""Of several figures the first is taken that has this share of the largest one's extent."""
+COPY, NEAR = 0.02, 0.25
+"""Shares of a figure's extent: how far the joints of its copy lie from its own at most, and how far from a joint of it
+something that hangs on joints of its own begins, to be part of it."""
+
+
+@dataclass(frozen=True)
+class GltfSkin:
+    """joints: (k,) nodes. inverse_binds, binds: (k, 4, 4), from mesh space to each joint and back; NaN where the file
+    has none that can be inverted. given: whether it has any."""
+
+    joints: list[int]
+    inverse_binds: np.ndarray
+    binds: np.ndarray
+    given: bool
+
+    @cached_property
+    def place(self) -> dict[int, int]:
+        """Its place in the skin, by node, of each joint whose bind is known."""
+        known = np.isfinite(self.binds).all(axis=(1, 2))
+        return {joint: k for k, joint in enumerate(self.joints) if known[k]}
+
+    def transforms(self, file: GltfFile, worlds: np.ndarray) -> np.ndarray:
+        """(k, 3, 4) from mesh space to the scene where nodes are at worlds (g, 4, 4). A joint whose bind is not known
+        moves as the nearest one above whose bind is, or else as the first."""
+        found, place = (worlds[self.joints] @ self.inverse_binds)[:, :3], self.place
+        for k in np.flatnonzero(~np.isfinite(found).all(axis=(1, 2))):
+            above = (place[each] for each in ancestors(file.node_parents, self.joints[k]) if each in place)
+            found[k] = found[next(above, next(iter(place.values())))]
+        return found
+
+
+@dataclass(frozen=True)
+class GltfSkeleton:
+    """nodes: of its joints, parents first. joint: index among these, by node; nodes of others that move with it have
+    one, too. worlds: (g, 4, 4) from node to scene, in the pose that the body is taken in. skins: of the figure and of
+    what moves with it, by number. warnings: what was assumed or left out."""
+
+    nodes: list[int]
+    joint: dict[int, int]
+    worlds: np.ndarray
+    skins: dict[int, GltfSkin]
+    warnings: tuple[str, ...] = ()
+
+
+def find_skeleton(
+    file: GltfFile, vertex_counts: Mapping[int, int], rig: Rig, humanoid: Mapping[str, int] | None
+) -> GltfSkeleton:
+    """The skeleton of the figure that is worn: of several people the largest, or the first of about that size.
+
+    vertex_counts: by skin of the file, 0 for those that draw nothing. humanoid: node by VRM humanoid bone; a VRM is
+    taken as its nodes stand, in T-pose. Raises ContentError.
+    """
+    entries = file.document.entries("skins")
+    check_bone_count(len({joint for number in vertex_counts for joint in skin_nodes(file, entries[number])}))
+    drawing = sorted(vertex_counts, key=lambda number: -vertex_counts[number])
+    drawing = [number for number in drawing if vertex_counts[number] or not vertex_counts[drawing[0]]]
+    skins = {number: _skin(file, number) for number in drawing}
+    groups = sorted(_groups(file, skins), key=min)
+    figures = [_Figure(file, {number: skins[number] for number in group}, rig, humanoid) for group in groups]
+    people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
+    people = people or [figure for figure in figures if drawing[0] in figure.skins]
+    largest = max(figure.extent for figure in people)
+    chosen = next(figure for figure in people if figure.extent >= AS_LARGE * largest)
+    joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
+    worn, left_out = dict(chosen.skins), []
+    for other in figures:
+        carriers = None if other is chosen else chosen.carriers_of(other)
+        if carriers is not None:
+            worn |= other.skins
+            added = [node for node in other.nodes if node not in joint]
+            joint = {node: int(k) for node, k in zip(other.nodes, carriers)} | joint
+            worlds[added] = other.worlds[added]
+        elif other is not chosen:
+            left_out.append(_called(file, other.skins))
+    warnings = ()
+    if left_out:
+        taken = f"{_called(file, chosen.skins)} is taken, the largest person or the first of that size"
+        warnings = (f"{len(left_out) + 1} figures are in the file: {taken}; left out: {', '.join(left_out)}",)
+    return GltfSkeleton(chosen.nodes, joint, worlds, worn, warnings)
+
+
+class _Figure:
+    """What hangs together: skins that share joints, or whose joints hang on each other's.
+
+    nodes: joints and all above them, parents first. parents: of these, -1 for none. worlds: (g, 4, 4) in the pose that
+    is taken. heads: of the nodes. extent: of these. skins: the largest first.
+    """
+
+    def __init__(
+        self, file: GltfFile, skins: Mapping[int, GltfSkin], rig: Rig, humanoid: Mapping[str, int] | None
+    ) -> None:
+        self.skins, self._rig = skins, rig
+        self.joints = {joint for skin in skins.values() for joint in skin.joints}
+        within = (*(humanoid or {}).values(), *self.joints)
+        inside = {above for joint in within for above in ancestors(file.node_parents, joint)}
+        check_bone_count(len(inside))
+        self.nodes = [node for node in file.node_order if node in inside]
+        place = {node: k for k, node in enumerate(self.nodes)}
+        self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
+        self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
+        self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
+        self.worlds = file.node_worlds
+        bound = [skin for skin in skins.values() if skin.given]
+        if humanoid is None and bound:
+            self._take_bind_pose(_bind_worlds(file, bound))
+        self.heads = self.worlds[self.nodes][:, :3, 3]
+        self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
+
+    def carriers_of(self, other: _Figure) -> np.ndarray | None:
+        """Which of this figure's joints each of another's (n,) moves with; None where it is a figure of its own or far.
+
+        A chain, as of hair, moves with the joint at which it begins.
+        """
+        from scipy.spatial import cKDTree
+
+        apart, nearest = cKDTree(self.heads).query(other.heads)
+        if not other.human.missing:  # clothes may bring the skeleton
+            shared = self.human.joints.keys() & other.human.joints.keys()
+            gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
+            return nearest if np.linalg.norm(gaps, axis=1).max() < COPY * self.extent else None
+        joints = np.isin(other.nodes, list(other.joints))
+        begins = joints & ~((other.parents >= 0) & joints[other.parents])
+        for k in np.flatnonzero(joints & ~begins):
+            nearest[k] = nearest[other.parents[k]]
+        return nearest if np.median(apart[begins]) < NEAR * self.extent else None
+
+    def _is_copied_by(self, other: _Figure) -> bool:
+        """Whether another person's joints lie where this one's do, as those of clothes that bring the skeleton."""
+        shared = self.human.joints.keys() & other.human.joints.keys()
+        gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
+        return bool(np.linalg.norm(gaps, axis=1).max() < COPY * self.extent)
+
+    def _take_bind_pose(self, worlds: np.ndarray) -> None:
+        """Take the body from the bind pose, unless it is none, or the figure stands as its nodes are and not there."""
+        heads, shown_heads = worlds[self.nodes][:, :3, 3], self.worlds[self.nodes][:, :3, 3]
+        if np.abs(heads - shown_heads).max() > SAME_POSE * np.ptp(shown_heads, axis=0).max():
+            human, shown_human = self._recognised(worlds), self.human
+            is_pose = not human.missing and _same_lengths(human, heads, shown_heads)
+            if not shown_human.missing and not (is_pose and _stands(human, heads) >= _stands(shown_human, shown_heads)):
+                return
+            self.human = human
+        self.worlds = worlds
+
+    @cached_property
+    def human(self) -> HumanSkeleton:
+        """What is recognised in the pose that is taken."""
+        return self._recognised(self.worlds)
+
+    def _recognised(self, worlds: np.ndarray) -> HumanSkeleton:
+        heads = worlds[self.nodes][:, :3, 3]
+        finite = np.nan_to_num(heads)  # whoever takes a joint that is not finite says so
+        return find_human_skeleton(self._names, self.parents, finite, self._rig, humanoid=self._humanoid)
+
+
+def _same_lengths(human: HumanSkeleton, heads: np.ndarray, shown_heads: np.ndarray) -> bool:
+    """Whether the limb segments of two poses, joints at (n, 3), have the same lengths but for a factor."""
+    ends = [[human.joints.get(end, 0) for end in segment] for segment in LIMB_SEGMENTS.values()]
+    first, second = (np.linalg.norm(np.diff(at[ends], axis=1)[:, 0], axis=1) for at in (heads, shown_heads))
+    ratio = np.log(np.maximum(first, 1e-12) / np.maximum(second, 1e-12))
+    return bool(np.abs(ratio - np.median(ratio)).max() < np.log(UNLIKE_LENGTHS))
+
+
+def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
+    """Whether thighs and shins lead on from the trunk, joints at (n, 3); of a skeleton without these, too."""
+    bones = [f"{bone}.{side}" for side in "LR" for bone in ("upperarm01", "upperleg01", "lowerleg01", "foot")]
+    if any(bone not in human.joints for bone in bones):
+        return True
+    limbs = np.diff(heads[[human.joints[bone] for bone in bones]].reshape(2, 4, 3), axis=1)
+    trunk, legs = limbs[:, 0].sum(axis=0), limbs[:, 1:]
+    return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=2) * np.linalg.norm(trunk)).all())
+
+
+def _skin(file: GltfFile, number: int) -> GltfSkin:
+    entry = file.document.item("skins", number)
+    joints, matrices = skin_nodes(file, entry), entry.index("inverseBindMatrices")
+    inverse = np.tile(np.eye(4), (len(joints), 1, 1))
+    if matrices is None:
+        return GltfSkin(joints, inverse, inverse, given=False)
+    stored, binds = file.accessor(matrices), np.full(inverse.shape, np.nan)
+    if len(stored) >= len(joints) and stored.shape[1] == 16:
+        inverse[:, :3] = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)[:, :3]
+        known = np.isfinite(inverse).all(axis=(1, 2))
+        known[known] = np.abs(np.linalg.det(inverse[known])) > np.finfo(float).tiny
+        inverse[~known], binds[known] = np.nan, np.linalg.inv(inverse[known])
+    if not np.isfinite(binds).any():
+        raise ContentError(
+            f"skin {number} has {len(joints)} joints and {len(stored)} inverse bind matrices of {stored.shape[1]} "
+            "numbers; each joint needs a finite one of 16"
+        )
+    return GltfSkin(joints, inverse, binds, given=True)
+
+
+def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[list[int]]:
+    """Numbers of skins that share joints, or whose joints hang on each other's."""
+    group, owner = {number: number for number in skins}, {}
+
+    def join(one: int, other: int) -> None:
+        first, second = group[one], group[other]
+        if first != second:
+            group.update({number: first for number, each in group.items() if each == second})
+
+    for number, skin in skins.items():
+        for joint in skin.joints:
+            join(number, owner.setdefault(joint, number))
+    for joint, number in owner.items():
+        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
+        join(number, owner[above])
+    return [[number for number in skins if group[number] == each] for each in dict.fromkeys(group.values())]
+
+
+def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
+    """(g, 4, 4) from node to scene where the skins' joints are as they were bound, those of the first skin as it says.
+    The scene's axes are mesh space's, turned by quarters towards what the file shows."""
+    worlds, parents = np.full((len(file.nodes), 4, 4), np.nan), file.node_parents
+    known = np.zeros(len(worlds), dtype=bool)
+    to_scene = _to_scene(file, skins[0])
+
+    def set_world(node: int, world: np.ndarray) -> None:
+        worlds[node], known[node] = world, True
+
+    def follow(node: int) -> None:
+        if node in skins[0].place:
+            set_world(node, to_scene @ skins[0].binds[skins[0].place[node]])
+            return
+        for skin in (skin for skin in skins[1:] if node in skin.place):
+            above = ancestors(parents, node)[1:]
+            anchor = next((each for each in above if known[each] and each in skin.place), None)
+            if anchor is not None:
+                relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
+                set_world(node, worlds[anchor] @ relative)
+                return
+        if parents[node] < 0 or not known[parents[node]]:
+            return
+        parent, local = worlds[parents[node]], file.node_locals[node]
+        length = np.linalg.norm(parent[:3, :3] @ local[:3, 3])
+        for skin in (skin for skin in skins[1:] if node in skin.place):  # most share one mesh space
+            shared = to_scene @ skin.binds[skin.place[node]]
+            if abs(np.linalg.norm(shared[:3, 3] - parent[:3, 3]) - length) < SAME_LENGTH * length:
+                set_world(node, shared)
+                return
+        set_world(node, parent @ local)
+
+    for node in file.node_order:
+        follow(node)
+    below: dict[int, list[np.ndarray]] = {}
+    for node in reversed(file.node_order):
+        if node in below and not known[node]:  # as most children have it: one of them may be turned
+            set_world(node, min(below[node], key=lambda one: sum(np.abs(one - other).sum() for other in below[node])))
+        if known[node] and parents[node] >= 0 and not known[parents[node]]:
+            below.setdefault(int(parents[node]), []).append(worlds[node] @ np.linalg.pinv(file.node_locals[node]))
+    for node in file.node_order:
+        if not known[node]:
+            follow(node)
+    worlds[~known] = file.node_worlds[~known]
+    return worlds
+
+
+def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:
+    """(4, 4) from mesh space to the scene, as the skin's first joint moves it but turned by quarters only."""
+    rank = {node: k for k, node in enumerate(file.node_order)}
+    root = min(skin.place, key=rank.__getitem__)
+    found = file.node_worlds[root] @ skin.inverse_binds[skin.place[root]]
+    u, stretch, vt = np.linalg.svd(found[:3, :3])
+    turn = nearest_quarter_turn(u @ vt)
+    bound = skin.binds[skin.place[root]][:3, 3]
+    found[:3, :3] = turn @ (vt.T * stretch) @ vt
+    found[:3, 3] = file.node_worlds[root][:3, 3] - found[:3, :3] @ bound
+    return found
+
+
+def _called(file: GltfFile, skins: Collection[int]) -> str:
+    """Nodes whose meshes hang on skins, by name."""
+    nodes = [k for k, node in enumerate(file.nodes) if node.index("skin") in skins and "mesh" in node]
+    return listed([file.nodes[node].text("name") or f"node {node}" for node in nodes])
