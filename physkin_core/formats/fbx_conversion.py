@@ -1,6 +1,6 @@
 """`python -m physkin_core.formats.fbx_conversion`: an FBX file comes in, a GLB goes out; `fbx_as_glb` begins it.
 
-Dimensions: `g` nodes, `V` vertices of a mesh, `K` influences.
+Dimensions: `V` vertices of a mesh, `K` influences.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ FASTEST = 60.0
 MOST_INFLUENCES = 16
 """Of a vertex, its strongest."""
 PINNED = 1 << 24
+"""References added to an element, more than it is asked for."""
 PATHS = ("translation", "rotation", "scale")
 OPTIONS = dict(
     file_format=ufbx.FileFormat.FBX,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -26,8 +27,9 @@ def fbx_as_glb(content: bytes, *, clips: bool) -> bytes:
     if find_spec("ufbx") is None:
         raise ContentError("it is FBX; to read it: pip install ufbx")
     command = [sys.executable, "-P", "-m", "physkin_core.formats.fbx_conversion", "clips" if clips else "figure"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
     try:
-        done = subprocess.run(command, input=content, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=WITHIN)
+        done = subprocess.run(command, input=content, env=environment, timeout=WITHIN, capture_output=True)
     except subprocess.TimeoutExpired as error:
         raise ContentError(f"it could not be read within {WITHIN} s; use a smaller file") from error
     if done.returncode == REFUSED:
