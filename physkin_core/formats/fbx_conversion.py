@@ -97,6 +97,9 @@ def _add_mesh(builder: GltfBuilder, node: ufbx.Node, entry: dict) -> None:
         if key.effective_weight:
             moved = np.array(list(key.shape.offset_vertices), dtype=int)
             positions[moved] += key.effective_weight * np.array(list(key.shape.position_offsets)).reshape(-1, 3)
+    clusters = [each for skin in mesh.skin_deformers for each in skin.clusters if each.bone_node is not None]
+    to_scene = _square(clusters[0].bind_to_world) @ _square(clusters[0].geometry_to_bone) if clusters else np.eye(4)
+    positions = positions @ to_scene[:3, :3].T + to_scene[:3, 3]
     different = max(1, len(uv.values))
     key = np.array(list(mesh.vertex_indices)) * different + np.array(list(uv.indices) or [0] * mesh.num_indices)
     key, corners = np.unique(key, return_inverse=True)
@@ -105,9 +108,9 @@ def _add_mesh(builder: GltfBuilder, node: ufbx.Node, entry: dict) -> None:
     if uv.exists:
         places = np.array(list(uv.values))[place] * [1, -1] + [0, 1]
         attributes["TEXCOORD_0"] = builder.add_accessor(places.astype(np.float32))
-    clusters = [each for skin in mesh.skin_deformers for each in skin.clusters if each.bone_node is not None]
     if clusters:
-        matrices = np.stack([_square(cluster.geometry_to_bone).T.reshape(16) for cluster in clusters])
+        to_bones = [_square(cluster.geometry_to_bone) @ np.linalg.pinv(to_scene) for cluster in clusters]
+        matrices = np.stack([to_bone.T.reshape(16) for to_bone in to_bones])
         skin = {"inverseBindMatrices": builder.add_accessor(matrices.astype(np.float32))}
         entry["skin"] = len(document["skins"])
         document["skins"].append(skin | {"joints": [cluster.bone_node.typed_id for cluster in clusters]})
