@@ -23,7 +23,7 @@ __all__ = ["CLIP_SUFFIXES", "describe_clips", "load_clip", "split_clip_name"]
 
 log = logging.getLogger(__name__)
 
-GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma")
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma", ".fbx")
 CLIP_SUFFIXES = (".bvh", ".amc", ".npz", *GLTF_SUFFIXES)
 
 

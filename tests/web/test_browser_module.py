@@ -25,7 +25,7 @@ from physkin_core import (
     load_motion,
     with_fabric,
 )
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.rig.bone_rotations import BoneRotations
 
 PACKAGE = ROOT / "build" / "web"
