@@ -23,7 +23,7 @@ from physkin_training.fit_garment.verdicts import in_lines
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 CHECKS = [
-    "triangles", "units", "orientation", "position", "duplicates", "one layer", "manifold", "pieces", "winding",
+    "triangles", "units", "orientation", "position", "duplicates", "one layer", "seams", "manifold", "pieces", "winding",
     "openings", "upright", "scale", "edge length", "pose", "overlap", "body", "self-intersection",
     "flat rest shape",
 ]  # fmt: skip
