@@ -12,28 +12,32 @@ from scipy.spatial import cKDTree
 from trimesh.geometry import faces_to_edges
 from trimesh.graph import connected_component_labels
 
-__all__ = ["Runs", "find_runs", "sewn_along"]
+__all__ = ["SEAM", "Runs", "find_runs", "sewn_along"]
 
 SHORTEST = 0.03
 """[m] Boundaries that are near each other for less than this are the ends of darts and slits."""
 NARROWEST = 1e-3
 """[m] No strap of cloth is so narrow: what is nearer overlaps."""
+SEAM = 0.003
+"""[m] Boundaries this near are joined, however pieces lie."""
 TOUCHING = 1e-4
 """[m] What is nearer than this is joined whatever its length."""
 SNAP = 0.3
-"""A vertex is joined to an end of an edge that is nearer than this share of the edges here, else to a new vertex on it."""
+"""A vertex is joined to the end of an edge within this share of the edges here, else to a new vertex on the edge."""
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Boundary vertices (p,) near boundary edges (p, 2), the gaps (p,) [m] between them, and where on the edges that is,
-    at (p,) from 0 to 1. snap: (p,) as `SNAP`, likewise. length: [m] of seam that they make."""
+    """Boundary vertices (p,) near boundary edges (p, 2), the gaps (p,) [m] between them, and where on the edges they
+    are, at (p,) from 0 to 1. snap: (p,) as `SNAP`, likewise. apart: (p,) whether they are of separate
+    pieces. length: [m] of seam that they make."""
 
     vertex: np.ndarray
     edge: np.ndarray
     at: np.ndarray
     gap: np.ndarray
     snap: np.ndarray
+    apart: np.ndarray
     length: float
 
 
@@ -63,8 +67,8 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     across = start[edge] + at[:, None] * along[edge] - vertices[vertex]
     gap = np.linalg.norm(across, axis=1)
     piece = connected_component_labels(sides, node_count=len(vertices))
-    beyond = ((across * own[vertex]).sum(axis=1) <= gap / 2) | (gap < NARROWEST)
-    beyond |= piece[vertex] != piece[rim[edge, 0]]
+    apart = piece[vertex] != piece[rim[edge, 0]]
+    beyond = ((across * own[vertex]).sum(axis=1) <= -gap / 2) | (gap < np.where(apart, SEAM, NARROWEST))
     kept = (gap <= within) & beyond & ((own[vertex] * inward[edge]).sum(axis=1) < 0.5)
     kept &= (rim[edge] != vertex[:, None]).all(axis=1)
     least = np.full(len(vertices), np.inf)
@@ -74,9 +78,11 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     label = connected_component_labels(rim[beside], node_count=len(vertices))
     long = np.bincount(label[rim[beside, 0]], length[beside], len(vertices)) >= SHORTEST
     kept &= long[label[vertex]] | (gap <= TOUCHING)
-    snap = SNAP * np.minimum(length[edge], shortest[vertex])
+    snap = SNAP * np.minimum(1.0, shortest[vertex] / length[edge])
     made = length[beside][long[label[rim[beside, 0]]]].sum() / 2
-    return Runs(vertex[kept], rim[edge[kept]], at[kept], gap[kept], (snap / length[edge])[kept], float(made))
+    return Runs(
+        vertex[kept], rim[edge[kept]], at[kept], gap[kept], (snap / length[edge])[kept], apart[kept], float(made)
+    )
 
 
 def sewn_along(vertices: np.ndarray, faces: np.ndarray, runs: Runs) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import mesh_edges, openings
 from physkin_training.contact.surface_queries import BodySurface, layers_near, piercing_edges
 from physkin_training.fit_garment import mesh_repair
-from physkin_training.fit_garment.boundary_seams import find_runs, sewn_along
+from physkin_training.fit_garment.boundary_seams import SEAM, find_runs, sewn_along
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = [
@@ -38,8 +38,8 @@ MOST_DROPPED = 0.005
 """Share of faces that may go for the sake of edges shared by three."""
 SMALL_PIECE = 0.02
 """Pieces of less than this share of the area are buttons and scraps, and dropped."""
-SEAM, APART = 0.003, 0.01
-"""[m] Boundaries that run along each other are joined across the first gap; up to the second one they are in doubt."""
+APART = 0.01
+"""[m] Pieces that run along each other, farther apart than is joined, are in doubt up to this gap."""
 SKIN, BULK = 0.0015, 0.01
 """Half of a body is as near to the skin [m]. Volume by area and by longest extent of a closed one, at least: 0.02 is
 usual, and a padded coat has 0.008."""
@@ -110,12 +110,9 @@ def check_seams(checks: Checks) -> None:
         checks.vertices, checks.faces = sewn_along(checks.vertices, checks.faces, runs)
         checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces)
     far = find_runs(checks.vertices, checks.faces, APART)
-    piece = np.empty(len(checks.vertices), dtype=int)
-    piece[checks.faces] = mesh_repair.face_components(checks.faces)[:, None]
-    between = piece[far.vertex] != piece[far.edge[:, 0]]
-    if between.any():
-        place = ", ".join(f"{value:.2f}" for value in checks.vertices[far.vertex[between][0]])
-        found = f"separate pieces run along each other, {1000 * far.gap[between].min():.1f} mm apart, at ({place}) m"
+    if far.apart.any():
+        place = ", ".join(f"{value:.2f}" for value in checks.vertices[far.vertex[far.apart][0]])
+        found = f"separate pieces run along each other, {1000 * far.gap[far.apart].min():.1f} mm apart, at ({place}) m"
         return checks.say("seams", "refused", f"{found}: join their vertices", allowed)
     if len(runs.gap) == 0:
         return checks.say("seams", "ok", "no boundaries run along each other", allowed)
