@@ -234,9 +234,13 @@ def with_names(mesh: MeshFile, part: np.ndarray, *parts: str) -> MeshFile:
     return replace(mesh, look=replace(mesh.look, part=part, parts=parts))
 
 
-def test_a_body_beside_the_garment_is_named(shirt, template):
-    """And the garment alone is taken when it is chosen."""
-    vertices, faces, part = in_one_file((template.vertices, template.faces), shirt())
+@pytest.mark.parametrize("head", [True, False])
+def test_a_body_beside_the_garment_is_named(head, shirt, template):
+    """Closed, or as one that is open at the neck and made for nobody here. And the garment alone is taken when it is
+    chosen."""
+    below = template.vertices[template.faces, 2].max(axis=1) < (1.0 if head else 0.55)
+    skin = template.vertices if head else template.vertices * [1.03, 1.02, 1.0]
+    vertices, faces, part = in_one_file((skin, template.faces[below]), shirt())
     mesh = with_names(mesh_of(vertices, faces), part, "Avatar", "Shirt")
     last = check_garment(mesh, template, template).verdicts[-1]
     assert (last.check, last.outcome) == ("pieces", "refused")

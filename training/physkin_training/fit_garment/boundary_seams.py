@@ -29,8 +29,8 @@ SNAP = 0.3
 @dataclass(frozen=True)
 class Runs:
     """Boundary vertices (p,) near boundary edges (p, 2), the gaps (p,) [m] between them, and where on the edges they
-    are, at (p,) from 0 to 1. snap: (p,) as `SNAP`, likewise. apart: (p,) whether they are of separate
-    pieces. length: [m] of seam that they make."""
+    are, at (p,) from 0 to 1. snap: (p,) as `SNAP`, likewise. apart: (p,) whether they are of separate pieces. length:
+    [m] of seam that they make."""
 
     vertex: np.ndarray
     edge: np.ndarray
@@ -51,7 +51,7 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     start, along = vertices[rim[:, 0]], vertices[rim[:, 1]] - vertices[rim[:, 0]]
     length = np.linalg.norm(along, axis=1)
     inward = _unit(np.cross(np.cross(along, vertices[third] - start), along))
-    own, shortest = np.zeros_like(vertices), np.full(len(vertices), np.inf)
+    own, shortest, least = np.zeros_like(vertices), *np.full((2, len(vertices)), np.inf)
     np.add.at(own, rim, inward[:, None])
     np.minimum.at(shortest, rim, length[:, None])
     own = _unit(own)
@@ -71,7 +71,6 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     beyond = ((across * own[vertex]).sum(axis=1) <= -gap / 2) | (gap < np.where(apart, SEAM, NARROWEST))
     kept = (gap <= within) & beyond & ((own[vertex] * inward[edge]).sum(axis=1) < 0.5)
     kept &= (rim[edge] != vertex[:, None]).all(axis=1)
-    least = np.full(len(vertices), np.inf)
     np.minimum.at(least, vertex[kept], gap[kept])
     kept &= gap <= 2 * least[vertex] + TOUCHING
     beside = np.isin(rim, [*vertex[kept], *np.flatnonzero(np.bincount(rim.ravel()) > 2)]).all(axis=1)
@@ -80,9 +79,7 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     kept &= long[label[vertex]] | (gap <= TOUCHING)
     snap = SNAP * np.minimum(1.0, shortest[vertex] / length[edge])
     made = length[beside][long[label[rim[beside, 0]]]].sum() / 2
-    return Runs(
-        vertex[kept], rim[edge[kept]], at[kept], gap[kept], (snap / length[edge])[kept], apart[kept], float(made)
-    )
+    return Runs(vertex[kept], rim[edge[kept]], at[kept], gap[kept], snap[kept], apart[kept], float(made))
 
 
 def sewn_along(vertices: np.ndarray, faces: np.ndarray, runs: Runs) -> tuple[np.ndarray, np.ndarray]:

@@ -72,13 +72,15 @@ def check_garment(
     own: OwnPose | None = None,
     accept_placement: bool = True,
     chosen: bool = False,
+    sewn: bool = False,
 ) -> CheckedGarment:
     """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
     template: the training template's garment body; a garment made on another body is moved over to it.
     accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
-    the garment stays where it lies. chosen: the user wants all of the mesh, whatever it is.
+    the garment stays where it lies. chosen: the user wants all of the mesh, whatever it is. sewn: of
+    a pattern, so that what is open is meant to be.
 
     Checks stop at the first refusal after which the others would mean nothing.
     """
@@ -100,7 +102,7 @@ def check_garment(
         [
             mesh_checks.check_duplicates,
             partial(mesh_checks.check_layers, surface=surface),
-            mesh_checks.check_seams,
+            *([] if sewn else [mesh_checks.check_seams]),
             mesh_checks.check_manifold,
             partial(mesh_checks.check_pieces, surface=surface, named=named),
             partial(wear_checks.check_winding, surface=surface),

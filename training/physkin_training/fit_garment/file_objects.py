@@ -8,19 +8,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from physkin_core.file_reading import listed
 from physkin_core.mesh.mesh_file import MeshFile
 from physkin_training.fit_garment.mesh_repair import face_components
 
 __all__ = ["chosen_objects", "objects_at"]
-
-MOST_NAMED = 20
 
 
 def chosen_objects(mesh: MeshFile, chosen: Sequence[str]) -> MeshFile:
     """A file with its objects of these names alone. Raises ValueError for a name that it has not."""
     names, number = _objects(mesh)
     if missing := [name for name in chosen if name not in names]:
-        raise ValueError(f"no object {missing[0]!r} in the garment's file; it has {_listed(names)}")
+        raise ValueError(f"no object {missing[0]!r} in the garment's file; it has {listed(names)}")
     kept = np.isin(number, [names.index(name) for name in chosen])
     look = mesh.look
     look = replace(look, uv=look.uv[kept], material=look.material[kept], part=look.part[kept])
@@ -31,11 +30,7 @@ def objects_at(mesh: MeshFile, centres: np.ndarray) -> Callable[[np.ndarray], st
     """Names the objects of a file, whose faces are at `centres` (f, 3), that points (p, 3) belong to."""
     names, number = _objects(mesh)
     tree = cKDTree(centres)
-    return lambda points: _listed([names[index] for index in np.unique(number[tree.query(points)[1]])])
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(map(repr, names[:MOST_NAMED])) + (", ..." if len(names) > MOST_NAMED else "")
+    return lambda points: listed([names[index] for index in np.unique(number[tree.query(points)[1]]) if index >= 0])
 
 
 def _objects(mesh: MeshFile) -> tuple[tuple[str, ...], np.ndarray]:

@@ -191,8 +191,8 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
         if settings.objects:
             mesh = chosen_objects(mesh, settings.objects)
     own = None if pattern or not settings.avatar else OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
-    chosen = bool(settings.objects)
-    checked = check_garment(mesh, avatar, template, own=own, accept_placement=settings.accept_placement, chosen=chosen)
+    accept, chosen = settings.accept_placement, bool(settings.objects)
+    checked = check_garment(mesh, avatar, template, own=own, accept_placement=accept, chosen=chosen, sewn=pattern)
     place = partial(_draw_placement, folder / PLACEMENT, avatar=avatar, own=own)
     _refuse(source, checked, settings, place)
     likeness, verdict = chosen_start(checked.garment, settings.start)

@@ -41,8 +41,8 @@ SMALL_PIECE = 0.02
 APART = 0.01
 """[m] Pieces that run along each other, farther apart than is joined, are in doubt up to this gap."""
 SKIN, BULK = 0.0015, 0.01
-"""Half of a body is as near to the skin [m]. Volume by area and by longest extent of a closed one, at least: 0.02 is
-usual, and a padded coat has 0.008."""
+"""Half of a body is as near to the skin [m]. Volume by area and by longest extent of one that is closed, or open at the
+neck alone, at least: 0.02 is usual, and a padded coat has 0.008."""
 EDGE_RANGE = (0.006, 0.025)
 """[m] mean edge; the shipped garments have 0.015."""
 MOST_VERTICES = 20000
@@ -151,10 +151,8 @@ def _kind(vertices: np.ndarray, faces: np.ndarray, surface: BodySurface) -> str:
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     on_skin = np.median(np.abs(surface.closest(vertices).distance)) < SKIN
     into, holes = openings_and_holes(vertices, faces)
-    bulk = abs(mesh.volume) / mesh.area / np.ptp(vertices, axis=0).max()
-    if on_skin or (
-        not into and bulk > BULK and sum(_area_inside(mesh, hole) for hole in holes) < MOST_MISSING * mesh.area
-    ):
+    closed = len(into) < 2 and sum(_area_inside(mesh, loop) for loop in (*into, *holes)) < MOST_MISSING * mesh.area
+    if on_skin or (closed and abs(mesh.volume) > BULK * mesh.area * np.ptp(vertices, axis=0).max()):
         return "a body"
     return "a garment" if len(into) > 1 else "a part"
 
