@@ -211,10 +211,17 @@ def test_panels_that_nearly_touch_are_joined(gap, fine, shirt, template):
     assert not checked.refused and outcomes(checked)["seams"] == "repaired"
     assert "of boundaries joined that were up to" in found(checked, "seams") and found(checked, "pieces") == "one piece"
     assert found(checked, "openings") == "4 openings"
+    touching, _ = quarters(vertices, faces, gap=0.0, fine=fine)
+    assert len(checked.vertices) == len(np.unique(np.round(touching, 7), axis=0)), "none is lost or left beside another"
     if not fine:
-        assert len(checked.vertices) == len(vertices) and len(checked.faces) == len(faces)
+        assert len(checked.faces) == len(faces)
         away = np.linalg.norm(checked.vertices[:, None] - vertices[::97], axis=-1).min(axis=0)
         assert away.max() < gap
+
+
+def test_what_a_pattern_leaves_open_stays_open(shirt, template):
+    checked = check_garment(mesh_of(*quarters(*shirt(), gap=0.0005)), template, template, sewn=True)
+    assert "4 connected pieces" in found(checked, "pieces") and "seams" not in outcomes(checked)
 
 
 def test_panels_farther_apart_are_refused_with_place_and_gap(shirt, template):

@@ -96,7 +96,7 @@ def check_garment(
     else:
         _run(checks, [partial(wear_checks.check_placement, surface=canonical)])
     source = checks.vertices, checks.faces
-    named = None if chosen or checks.refused else objects_at(mesh, checks.vertices[checks.faces].mean(axis=1))
+    named = None if chosen or sewn or checks.refused else objects_at(mesh, checks.vertices[checks.faces].mean(axis=1))
     _run(
         checks,
         [
