@@ -10,7 +10,7 @@ Dimensions: `g` nodes, `k` joints of a skin. glTF's frame and the file's unit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +24,7 @@ from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton"]
+__all__ = ["GltfSkeleton", "GltfSkin", "bind_worlds", "find_skeleton", "read_skins"]
 
 SAME_POSE = 1e-3
 """Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
@@ -89,13 +89,11 @@ def find_skeleton(
     vertex_counts: by skin of the file, 0 for those that draw nothing. humanoid: node by VRM humanoid bone; a VRM is
     taken as its nodes stand, in T-pose. Raises ContentError.
     """
-    entries = file.document.entries("skins")
-    check_bone_count(len({joint for number in vertex_counts for joint in skin_nodes(file, entries[number])}))
+    check_bone_count(len({joint for entry in file.document.entries("skins") for joint in skin_nodes(file, entry)}))
     drawing = sorted(vertex_counts, key=lambda number: -vertex_counts[number])
     drawing = [number for number in drawing if vertex_counts[number] or not vertex_counts[drawing[0]]]
-    skins = {number: _skin(file, number) for number in drawing}
-    groups = sorted(_groups(file, skins), key=min)
-    figures = [_Figure(file, {number: skins[number] for number in group}, rig, humanoid) for group in groups]
+    groups = sorted(_groups(file, read_skins(file, drawing)), key=min)
+    figures = [_Figure(file, group, rig, humanoid) for group in groups]
     people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
     people = people or [figure for figure in figures if drawing[0] in figure.skins]
     largest = max(figure.extent for figure in people)
@@ -139,9 +137,8 @@ class _Figure:
         self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
         self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
         self.worlds = file.node_worlds
-        bound = [skin for skin in skins.values() if skin.given]
-        if humanoid is None and bound:
-            self._take_bind_pose(_bind_worlds(file, bound))
+        if humanoid is None and any(skin.given for skin in skins.values()):
+            self._take_bind_pose(bind_worlds(file, skins))
         self.heads = self.worlds[self.nodes][:, :3, 3]
         self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
 
@@ -162,12 +159,6 @@ class _Figure:
         for k in np.flatnonzero(joints & ~begins):
             nearest[k] = nearest[other.parents[k]]
         return nearest if np.median(apart[begins]) < NEAR * self.extent else None
-
-    def _is_copied_by(self, other: _Figure) -> bool:
-        """Whether another person's joints lie where this one's do, as those of clothes that bring the skeleton."""
-        shared = self.human.joints.keys() & other.human.joints.keys()
-        gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
-        return bool(np.linalg.norm(gaps, axis=1).max() < COPY * self.extent)
 
     def _take_bind_pose(self, worlds: np.ndarray) -> None:
         """Take the body from the bind pose, unless it is none, or the figure stands as its nodes are and not there."""
@@ -209,6 +200,11 @@ def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
     return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=2) * np.linalg.norm(trunk)).all())
 
 
+def read_skins(file: GltfFile, numbers: Iterable[int]) -> dict[int, GltfSkin]:
+    """Skins by number. Raises ContentError for one without joints, or without any finite inverse bind matrix of 16."""
+    return {number: _skin(file, number) for number in numbers}
+
+
 def _skin(file: GltfFile, number: int) -> GltfSkin:
     entry = file.document.item("skins", number)
     joints, matrices = skin_nodes(file, entry), entry.index("inverseBindMatrices")
@@ -229,27 +225,40 @@ def _skin(file: GltfFile, number: int) -> GltfSkin:
     return GltfSkin(joints, inverse, binds, given=True)
 
 
-def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[list[int]]:
-    """Numbers of skins that share joints, or whose joints hang on each other's."""
-    group, owner = {number: number for number in skins}, {}
+def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[dict[int, GltfSkin]]:
+    """Skins that share joints, or whose joints hang on each other's, together; each group in the order of `skins`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
-    def join(one: int, other: int) -> None:
-        first, second = group[one], group[other]
-        if first != second:
-            group.update({number: first for number, each in group.items() if each == second})
-
-    for number, skin in skins.items():
-        for joint in skin.joints:
-            join(number, owner.setdefault(joint, number))
-    for joint, number in owner.items():
+    number, edges = {skin: k for k, skin in enumerate(skins)}, []
+    owner: dict[int, int] = {}
+    for skin in skins:
+        edges += [(number[skin], owner.setdefault(joint, number[skin])) for joint in skins[skin].joints]
+    for joint, its in owner.items():
         above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
-        join(number, owner[above])
-    return [[number for number in skins if group[number] == each] for each in dict.fromkeys(group.values())]
+        edges.append((its, owner[above]))
+    graph = coo_array((np.ones(len(edges)), np.transpose(edges)), (len(skins), len(skins)))
+    count, group = connected_components(graph, directed=False)
+    return [{skin: skins[skin] for skin in skins if group[number[skin]] == each} for each in range(count)]
 
 
-def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
-    """(g, 4, 4) from node to scene where the skins' joints are as they were bound, those of the first skin as it says.
-    The scene's axes are mesh space's, turned by quarters towards what the file shows."""
+def bind_worlds(file: GltfFile, skins: Mapping[int, GltfSkin]) -> np.ndarray:
+    """(g, 4, 4) from node to scene where joints are as skins bind them, and others follow, or are as the file has them.
+
+    Of skins that hang together, joints of the first are as it says. The scene's axes are mesh space's, turned by
+    quarters towards what the file shows.
+    """
+    worlds = file.node_worlds.copy()
+    given = {number: skin for number, skin in skins.items() if skin.given}
+    for group in _groups(file, given) if given else []:
+        bound = _bound_worlds(file, list(group.values()))
+        known = np.isfinite(bound).all(axis=(1, 2))
+        worlds[known] = bound[known]
+    return worlds
+
+
+def _bound_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
+    """(g, 4, 4) as `bind_worlds`, of skins that hang together; NaN for nodes that do not hang on their joints."""
     worlds, parents = np.full((len(file.nodes), 4, 4), np.nan), file.node_parents
     known = np.zeros(len(worlds), dtype=bool)
     to_scene = _to_scene(file, skins[0])
@@ -290,7 +299,6 @@ def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
     for node in file.node_order:
         if not known[node]:
             follow(node)
-    worlds[~known] = file.node_worlds[~known]
     return worlds
 
 

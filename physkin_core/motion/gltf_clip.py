@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.avatar.gltf_skeleton import bind_worlds, read_skins
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import humanoid_nodes, skin_nodes
+from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
-__all__ = ["gltf_clip_names", "read_gltf_clip"]
+__all__ = ["gltf_clip_names", "read_gltf_clip", "the_clip"]
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,6 @@ ROUNDING = 1e-4
 """[s] of times in single precision: a frame has the key that is so near."""
 BLOCK = 1024
 """Frames posed together, which bounds the memory."""
-SQUARE_TURNS = Rotation.create_group("O").as_matrix()
 
 
 @dataclass(frozen=True)
@@ -65,17 +64,15 @@ def gltf_clip_names(file: GltfFile) -> list[str]:
     return [clip.text("name") or str(number) for number, clip in enumerate(file.document.entries("animations"), 1)]
 
 
-def read_gltf_clip(path: Path, *, clip: str = "") -> SourceClip:
+def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     """Read a clip of a .glb, .gltf, .vrm or .vrma file, sampled at the rate of its keys, `SLOWEST_HZ` to `RATE_HZ`.
 
-    clip: its name, or its number from 1; empty for the first, with a warning where there are others. Joints are those
-    of skins and of the humanoid, or what moves where there are none, and all that they hang on. At rest they are in the
-    skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError and OSError.
+    Joints are those of skins and of the humanoid, or what moves where there are none, and all that they hang on. At
+    rest they are in the skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError.
     """
-    file = GltfFile(path)
-    channels = _channels(file, _chosen(file, clip, path))
-    humanoid, skins = humanoid_nodes(file) or {}, file.document.entries("skins")
-    joints = set(humanoid.values()).union(*(skin_nodes(file, skin) for skin in skins)) or set(channels)
+    channels = _channels(file, animation)
+    humanoid, skins = humanoid_nodes(file) or {}, read_skins(file, range(file.document.count("skins")))
+    joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or set(channels)
     for node in reversed(file.node_order):
         if node in joints and file.node_parents[node] >= 0:
             joints.add(int(file.node_parents[node]))
@@ -83,11 +80,11 @@ def read_gltf_clip(path: Path, *, clip: str = "") -> SourceClip:
     number = {node: joint for joint, node in enumerate(nodes)}
     times = [channel.times for its in channels.values() for channel in its.values()]
     start, end = min(each[0] for each in times), max(each[-1] for each in times)
-    step = np.median(np.concatenate([np.diff(each) for each in times] or [[0.0]]))
-    rate_hz = float(np.clip(1 / np.maximum(step, 1e-6), SLOWEST_HZ, RATE_HZ))
+    steps = np.concatenate([np.diff(each) for each in times])
+    rate_hz = float(np.clip(1 / np.maximum(np.median(steps), 1e-6), SLOWEST_HZ, RATE_HZ)) if len(steps) else SLOWEST_HZ
     count = 1 + round(float(end - start) * rate_hz)
     check_clip_size(count, len(nodes), rate_hz)
-    bind = _bind_pose(file, nodes, skins)
+    bind = bind_worlds(file, skins)[nodes]
     undone = np.linalg.pinv(bind[:, :3, :3])
     quaternions, places = np.empty((count, len(nodes), 4)), np.empty((count, len(nodes), 3))
     for frames in np.array_split(np.arange(count), -(-count // BLOCK)):
@@ -105,16 +102,17 @@ def read_gltf_clip(path: Path, *, clip: str = "") -> SourceClip:
     return SourceClip(names, parents, bind[:, :3, 3], quaternions, places, rate_hz, by_bone)
 
 
-def _chosen(file: GltfFile, clip: str, path: Path) -> GltfEntry:
+def the_clip(file: GltfFile, clip: str) -> GltfEntry:
+    """The clip of a name or a number from 1; empty for the first, with a warning where there are others. Raises
+    ContentError."""
     names = gltf_clip_names(file)
     if not names:
         raise ContentError("it has no animation clip; export it with one, or choose another motion")
     if clip and clip not in names and clip not in map(str, range(1, len(names) + 1)):
         raise ContentError(f"it has no clip {shown(clip)}; allowed are {listed(names)}, or 1 to {len(names)}")
     if not clip and len(names) > 1:
-        log.warning(
-            "%s: the first of %d clips is taken: %s; another: #NAME after the file", path, len(names), listed(names)
-        )
+        said = "%s: the first of %d clips is taken: %s; another: #NAME after the file"
+        log.warning(said, file.path, len(names), listed(names))
     return file.document.item("animations", names.index(clip) if clip in names else int(clip or 1) - 1)
 
 
@@ -160,32 +158,3 @@ def _rotation(quaternions: np.ndarray) -> Rotation:
     """Of quaternions (K, 4) of any length; none of those of no length."""
     long = (quaternions**2).sum(axis=1, keepdims=True) > 1e-12
     return Rotation.from_quat(np.where(long, quaternions, PARTS["rotation"]))
-
-
-def _bind_pose(file: GltfFile, nodes: list[int], skins: list[GltfEntry]) -> np.ndarray:
-    """(J, 4, 4) from each joint at rest to the scene. What no skin names lies on its parent as its node does."""
-    bind: dict[int, np.ndarray] = {}
-    for skin in skins:
-        if "inverseBindMatrices" in skin:
-            named, stored = skin_nodes(file, skin), file.accessor(skin.integer("inverseBindMatrices"))
-            if len(stored) < len(named) or stored.shape[1] != 16 or not np.isfinite(stored).all():
-                raise ContentError(f"{skin.where} needs a finite inverse bind matrix of 16 numbers for each joint")
-            inverse = stored[: len(named)].reshape(-1, 4, 4).transpose(0, 2, 1)
-            to_scene = _square(file.node_worlds[named] @ inverse)
-            bind = dict(zip(named, to_scene @ np.linalg.pinv(inverse))) | bind
-    for node in nodes:
-        if node not in bind:
-            local = (
-                np.linalg.pinv(file.node_worlds[parent]) if (parent := int(file.node_parents[node])) in bind else None
-            )
-            bind[node] = file.node_worlds[node] if local is None else bind[parent] @ local @ file.node_worlds[node]
-    return np.stack([bind[node] for node in nodes])
-
-
-def _square(to_scene: np.ndarray) -> np.ndarray:
-    """(4, 4) from a skin's mesh to the scene, by right angles, as axes differ, and one scale. to_scene: what each joint
-    (k, 4, 4) makes of it, which differs where nodes are not in the bind pose."""
-    frame = np.eye(4)
-    mean, size = to_scene[:, :3, :3].mean(axis=0), np.cbrt(np.median(np.abs(np.linalg.det(to_scene[:, :3, :3]))))
-    frame[:3, :3] = max(SQUARE_TURNS, key=lambda turn: float((turn * mean).sum())) * (size or 1.0)
-    return frame

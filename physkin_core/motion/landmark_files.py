@@ -158,13 +158,12 @@ def _bridged(points: np.ndarray, times: np.ndarray, even: np.ndarray) -> np.ndar
     return moved
 
 
-def _csv(content: bytes) -> dict[str, Any]:
-    text = content.decode("utf-8-sig")
-    header, _, rows = text.partition("\n")
+def _csv(path: Path) -> dict[str, Any]:
+    header, _, rows = read_text(path, most=LARGEST).partition("\n")
     delimiter = max(",;\t", key=header.count)
     if delimiter != ",":
         rows = rows.replace(",", ".")
-    titles = [title.strip(' "\r') for title in header.split(delimiter)]
+    titles = [title.strip(' "') for title in header.split(delimiter)]
     starts = [title[:-1] for title in titles if title[-2:].lower() in ("_x", ".x", " x")]
     if lacking := [s for s in starts if not {f"{s}y".lower(), f"{s}z".lower()} <= {t.lower() for t in titles}]:
         raise ContentError(f"{listed([start[:-1] for start in lacking])} lack columns for y and z")
