@@ -15,15 +15,16 @@ from physkin_core.file_reading import LARGEST_FILE, ContentError, read_bytes, sh
 __all__ = ["read_npz"]
 
 
-def read_npz(path: Path) -> dict[str, np.ndarray]:
+def read_npz(path: Path, *, most: int = LARGEST_FILE) -> dict[str, np.ndarray]:
     """Arrays by name, objects left out. What it declares is compared with what it holds before memory is taken for it.
 
+    most: [bytes] of the file, and of what it unpacks to.
     Raises OSError, ContentError, zipfile.BadZipFile and ValueError where it cannot be read.
     """
     arrays = {}
-    with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
-        if (size := sum(member.file_size for member in archive.infolist())) > LARGEST_FILE:
-            raise ContentError(f"it has {size} bytes when unpacked, allowed are {LARGEST_FILE}")
+    with zipfile.ZipFile(io.BytesIO(read_bytes(path, most=most))) as archive:
+        if (size := sum(member.file_size for member in archive.infolist())) > most:
+            raise ContentError(f"it has {size} bytes when unpacked, allowed are {most}")
         for member in archive.infolist():
             file = io.BytesIO(archive.read(member))
             read_header = {(1, 0): npy.read_array_header_1_0}.get(npy.read_magic(file), npy.read_array_header_2_0)
