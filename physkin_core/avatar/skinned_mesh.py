@@ -173,7 +173,10 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
     if not np.array_equal(turn, np.eye(3)):
         facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
         warnings += (f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned",)
-    own, usual = _standing_axes({bone: turn @ at for bone, at in heads.items()}), _standing_axes(_heads_of(rig))
+    own, usual = (
+        _standing_axes({bone: turn @ at for bone, at in heads.items()}),
+        _standing_axes(dict(zip(rig.bone_names, rig.heads))),
+    )
     heading = np.degrees(np.arctan2(-own[0][0, 1], own[0][1, 1]))
     leans = [one[:, 2] - other[:, 2] for one, other in zip(own[1:], usual[1:])]
     least = min(map(np.linalg.norm, leans))
@@ -197,16 +200,12 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
     )
 
 
-def _heads_of(rig: Rig) -> dict[str, np.ndarray]:
-    return dict(zip(rig.bone_names, rig.heads))
-
-
 def _standing_axes(heads: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """Of somebody whose joints are at (3,): columns forward, left and up (3, 3), where up is from between the feet to
     between the shoulders; and the same with the way up of the trunk, and of the legs."""
-    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in ("upperarm01", "upperleg01"))
-    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
     bones = "upperarm01", "upperleg01"
+    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in bones)
+    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
     left = sum(heads[f"{bone}.L"] - heads[f"{bone}.R"] for bone in bones)
     ways_up = shoulders - feet, shoulders - hips, hips - feet
     return [_axes(left, up - left * (left @ up) / (left @ left)) for up in ways_up]

@@ -14,7 +14,13 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.gltf_skeleton import bind_worlds, read_skins
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_document import GltfEntry
-from physkin_core.formats.gltf_file import GltfFile
+from physkin_core.formats.gltf_file import (
+    TRANSFORM_PARTS,
+    GltfFile,
+    local_transforms,
+    node_transform_parts,
+    rotations_of,
+)
 from physkin_core.formats.gltf_joints import humanoid_nodes
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
@@ -24,8 +30,6 @@ log = logging.getLogger(__name__)
 
 SLOWEST_HZ = 24.0
 """Clips with fewer keys a second are sampled at this rate: between keys far apart, joints do not turn evenly."""
-PARTS = {"translation": (0.0, 0, 0), "rotation": (0.0, 0, 0, 1), "scale": (1.0, 1, 1)}
-"""Of a node's transform, and what they are where the node does not say."""
 VALUES_A_KEY = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}
 ROUNDING = 1e-4
 """[s] of times in single precision: a frame has the key that is so near."""
@@ -55,8 +59,8 @@ class _Channel:
             return (2 * u**3 - 3 * u**2 + 1) * first[:, 1] + (3 * u**2 - 2 * u**3) * second[:, 1] + step * slopes
         if first.shape[2] == 3:
             return first[:, 0] + u * (second - first)[:, 0]
-        turn = _rotation(first[:, 0])
-        return (turn * Rotation.from_rotvec(u * (turn.inv() * _rotation(second[:, 0])).as_rotvec())).as_quat()
+        turn = rotations_of(first[:, 0])
+        return (turn * Rotation.from_rotvec(u * (turn.inv() * rotations_of(second[:, 0])).as_rotvec())).as_quat()
 
 
 def gltf_clip_names(file: GltfFile) -> list[str]:
@@ -117,11 +121,11 @@ def the_clip(file: GltfFile, clip: str) -> GltfEntry:
 
 
 def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Channel]]:
-    """What moves, by node and by what of it: one of `PARTS`."""
+    """What moves, by node and by what of it: one of `TRANSFORM_PARTS`."""
     found, keys = {}, 0
     for channel in animation.entries("channels"):
         node, part = channel.entry("target").index("node"), channel.entry("target").text("path")
-        if node is None or part not in PARTS:  # weights of morphs, and what extensions point at
+        if node is None or part not in TRANSFORM_PARTS:  # weights of morphs, and what extensions point at
             continue
         file.document.item("nodes", node)
         sampler = animation.item("samplers", channel.integer("sampler"))
@@ -132,7 +136,7 @@ def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Chan
         if keys > MOST_PLACES:
             raise ContentError(f"{animation.where} has more than {MOST_PLACES} keys; thin them or cut it")
         times, values = (file.accessor(sampler.integer(key)).astype(np.float64) for key in ("input", "output"))
-        shape = (len(times), a_key, len(PARTS[part]))
+        shape = (len(times), a_key, len(TRANSFORM_PARTS[part]))
         rising = times.shape[1] == 1 and (np.diff(times[:, 0]) >= 0).all()
         if not rising or values.size != np.prod(shape) or not np.isfinite(values).all() or not np.isfinite(times).all():
             raise ContentError(f"{sampler.where} needs rising times and {shown(shape)} finite values; export it again")
@@ -144,17 +148,8 @@ def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Chan
 
 def _posed(node: GltfEntry, channels: dict[str, _Channel], seconds: np.ndarray) -> np.ndarray:
     """(T, 4, 4) from a node to its parent at times (T,)."""
-    matrix, local = node.numbers("matrix", 16), np.tile(np.eye(4), (len(seconds), 1, 1))
+    matrix = node.numbers("matrix", 16)
     if matrix is not None:
-        return local @ np.reshape(matrix, (4, 4)).T
-    still = {part: np.array([node.numbers(part, len(usual)) or usual]) for part, usual in PARTS.items()}
-    moved = still | {part: channel.at(seconds) for part, channel in channels.items()}
-    local[:, :3, :3] = _rotation(moved["rotation"]).as_matrix() * moved["scale"][:, None]
-    local[:, :3, 3] = moved["translation"]
-    return local
-
-
-def _rotation(quaternions: np.ndarray) -> Rotation:
-    """Of quaternions (K, 4) of any length; none of those of no length."""
-    long = (quaternions**2).sum(axis=1, keepdims=True) > 1e-12
-    return Rotation.from_quat(np.where(long, quaternions, PARTS["rotation"]))
+        return np.tile(np.reshape(matrix, (4, 4)).T, (len(seconds), 1, 1))
+    resting = {part: np.tile(value, (len(seconds), 1)) for part, value in node_transform_parts(node).items()}
+    return local_transforms(**resting | {part: channel.at(seconds) for part, channel in channels.items()})
