@@ -238,8 +238,10 @@ def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[dict[int, Glt
         above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
         edges.append((its, owner[above]))
     graph = coo_array((np.ones(len(edges)), np.transpose(edges)), (len(skins), len(skins)))
-    count, group = connected_components(graph, directed=False)
-    return [{skin: skins[skin] for skin in skins if group[number[skin]] == each} for each in range(count)]
+    groups: dict[int, dict[int, GltfSkin]] = {}
+    for skin, group in zip(skins, connected_components(graph, directed=False)[1]):
+        groups.setdefault(group, {})[skin] = skins[skin]
+    return list(groups.values())
 
 
 def bind_worlds(file: GltfFile, skins: Mapping[int, GltfSkin]) -> np.ndarray:

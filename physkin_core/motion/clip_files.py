@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physkin_core.file_reading import ContentError, read_text, reading
+from physkin_core.motion.landmark_files import has_landmarks
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.motion.pace import doubtful_pace
 from physkin_core.progress import Watch
@@ -20,7 +21,7 @@ from physkin_core.rig.rig import Rig
 if TYPE_CHECKING:
     from physkin_core.motion.source_clip import SourceClip
 
-__all__ = ["CLIP_SUFFIXES", "describe_clips", "load_clip", "split_clip_name"]
+__all__ = ["CLIP_SUFFIXES", "describe_clips", "is_clip", "load_clip"]
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +36,12 @@ def split_clip_name(path: str | Path) -> tuple[Path, str]:
     file, _, clip = str(path).rpartition("#")
     named = Path(file).suffix.lower() in GLTF_SUFFIXES and not Path(path).exists()
     return (Path(file), clip) if named else (Path(path), "")
+
+
+def is_clip(path: str | Path) -> bool:
+    """Whether a file is read as clips of any skeleton, by its suffix; an .npz may hold landmarks instead."""
+    file, _ = split_clip_name(path)
+    return file.suffix.lower() in CLIP_SUFFIXES and not has_landmarks(file)
 
 
 def load_clip(
@@ -79,7 +86,7 @@ def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
     from physkin_core.motion.gltf_clip import gltf_clip_names, read_gltf_clip
     from physkin_core.rig.human_skeleton import find_human_skeleton
 
-    file, rows = Path(path), {}
+    (file, _), rows = split_clip_name(path), {}
     with reading(f"motion file {path}", MotionError):
         if file.suffix.lower() in GLTF_SUFFIXES:
             gltf = GltfFile(file)

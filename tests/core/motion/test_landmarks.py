@@ -9,6 +9,7 @@ import pytest
 from posed_landmarks import CAMERA, SEGMENTS, angles_between, landmarks_of
 
 import physkin_core as physkin
+from physkin_core import cli
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.landmarks import LANDMARK_SETS, USED
 from physkin_core.motion.motion import MotionError, upright_orientation
@@ -434,3 +435,11 @@ def test_refused_archives(tmp_path, monkeypatch):
     monkeypatch.setattr("physkin_core.motion.landmark_files.LARGEST", 300_000)
     with pytest.raises(MotionError, match="it has .* bytes when unpacked, allowed are 300000"):
         physkin.load_motion(tmp_path / "large.npz")
+
+
+def test_landmarks_are_converted(tmp_path, walk):
+    """An .npz with them is no clip of a skeleton for any command."""
+    _, points = walk
+    np.savez(tmp_path / "a.npz", points=points, rate_hz=RATE_HZ)
+    assert cli.main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "bag")]) == 0
+    assert physkin.load_motion(tmp_path / "bag").frame_count == len(points)
