@@ -28,12 +28,12 @@ from physkin_core.avatar.skinned_mesh import (
 )
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import humanoid_nodes
+from physkin_core.formats.gltf_joints import humanoid_nodes, nearest_above, with_nodes_above
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.joint_names import read_name
 from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning, strongest_influence
-from physkin_core.rig.rig import Rig, ancestors
+from physkin_core.rig.rig import Rig
 
 __all__ = ["load_gltf"]
 
@@ -91,14 +91,13 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
     if coarse:
         called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
         warnings.append(f"these meshes draw again what others draw finer: {called}; left out")
-    bound, rigid = [], []
+    bound, rigid, carriers = [], [], nearest_above(file, skeleton.joint)
     for drawn, skin in skinned:
         if drawn.node in coarse or skin not in (None, *skeleton.skins):
             continue
         label = shown(file.nodes[drawn.node].text("name") or f"node {drawn.node}")
         if skin is None:
-            above = ancestors(file.node_parents, drawn.node)
-            carrier = next((skeleton.joint[each] for each in above if each in skeleton.joint), None)
+            carrier = carriers.get(drawn.node)
             if carrier is None:
                 warnings.append(f"mesh {label} has no skin and hangs on no joint: left out")
                 continue
@@ -187,7 +186,7 @@ def _mended(file: GltfFile, humanoid: Mapping[str, int]) -> list[str]:
     """What was wrong with nodes that decide nothing, a warning each. Raises ContentError where one is, or bears, a bone
     that has a name."""
     telling = (k for k, node in enumerate(file.nodes) if k in humanoid.values() or read_name(node.text("name")).bones)
-    deciding = {above for node in telling for above in ancestors(file.node_parents, node)}
+    deciding = set(with_nodes_above(file, telling))
     for node, fault in file.mended.items():
         if node in deciding and "turns by nothing" not in fault:
             raise ContentError(fault)

@@ -10,7 +10,7 @@ Dimensions: `g` nodes, `k` joints of a skin. glTF's frame and the file's unit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ import numpy as np
 from physkin_core.avatar.skinned_mesh import check_bone_count
 from physkin_core.file_reading import ContentError, listed
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import skin_nodes
+from physkin_core.formats.gltf_joints import nearest_above, skin_nodes, with_nodes_above
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, ancestors
@@ -128,10 +128,8 @@ class _Figure:
     ) -> None:
         self.skins, self._rig = skins, rig
         self.joints = {joint for skin in skins.values() for joint in skin.joints}
-        within = (*(humanoid or {}).values(), *self.joints)
-        inside = {above for joint in within for above in ancestors(file.node_parents, joint)}
-        check_bone_count(len(inside))
-        self.nodes = [node for node in file.node_order if node in inside]
+        self.nodes = with_nodes_above(file, {*(humanoid or {}).values(), *self.joints})
+        check_bone_count(len(self.nodes))
         place = {node: k for k, node in enumerate(self.nodes)}
         self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
         self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
@@ -234,9 +232,8 @@ def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[dict[int, Glt
     owner: dict[int, int] = {}
     for skin in skins:
         edges += [(number[skin], owner.setdefault(joint, number[skin])) for joint in skins[skin].joints]
-    for joint, its in owner.items():
-        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
-        edges.append((its, owner[above]))
+    carrier = nearest_above(file, owner)
+    edges += [(its, carrier.get(int(file.node_parents[joint]), its)) for joint, its in owner.items()]
     graph = coo_array((np.ones(len(edges)), np.transpose(edges)), (len(skins), len(skins)))
     groups: dict[int, dict[int, GltfSkin]] = {}
     for skin, group in zip(skins, connected_components(graph, directed=False)[1]):
@@ -253,55 +250,51 @@ def bind_worlds(file: GltfFile, skins: Mapping[int, GltfSkin]) -> np.ndarray:
     worlds = file.node_worlds.copy()
     given = {number: skin for number, skin in skins.items() if skin.given}
     for group in _groups(file, given) if given else []:
-        bound = _bound_worlds(file, list(group.values()))
-        known = np.isfinite(bound).all(axis=(1, 2))
-        worlds[known] = bound[known]
+        for node, world in _bound_worlds(file, *group.values()).items():
+            worlds[node] = world
     return worlds
 
 
-def _bound_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
-    """(g, 4, 4) as `bind_worlds`, of skins that hang together; NaN for nodes that do not hang on their joints."""
-    worlds, parents = np.full((len(file.nodes), 4, 4), np.nan), file.node_parents
-    known = np.zeros(len(worlds), dtype=bool)
-    to_scene = _to_scene(file, skins[0])
+def _bound_worlds(file: GltfFile, first: GltfSkin, *others: GltfSkin) -> dict[int, np.ndarray]:
+    """As `bind_worlds`, by node, of skins that hang together and of what hangs on their joints, or carries them."""
+    found: dict[int, np.ndarray] = {}
+    parents, to_scene = file.node_parents, _to_scene(file, first)
 
-    def set_world(node: int, world: np.ndarray) -> None:
-        worlds[node], known[node] = world, True
-
-    def follow(node: int) -> None:
-        if node in skins[0].place:
-            set_world(node, to_scene @ skins[0].binds[skins[0].place[node]])
-            return
-        for skin in (skin for skin in skins[1:] if node in skin.place):
+    def world_of(node: int) -> np.ndarray | None:
+        if node in first.place:
+            return to_scene @ first.binds[first.place[node]]
+        binding = [skin for skin in others if node in skin.place]
+        for skin in binding:
             above = ancestors(parents, node)[1:]
-            anchor = next((each for each in above if known[each] and each in skin.place), None)
+            anchor = next((each for each in above if each in found and each in skin.place), None)
             if anchor is not None:
-                relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
-                set_world(node, worlds[anchor] @ relative)
-                return
-        if parents[node] < 0 or not known[parents[node]]:
-            return
-        parent, local = worlds[parents[node]], file.node_locals[node]
-        length = np.linalg.norm(parent[:3, :3] @ local[:3, 3])
-        for skin in (skin for skin in skins[1:] if node in skin.place):  # most share one mesh space
+                return found[anchor] @ skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
+        parent = found.get(int(parents[node]))
+        if parent is None:
+            return None
+        world = parent @ file.node_locals[node]
+        length = np.linalg.norm(world[:3, 3] - parent[:3, 3])
+        for skin in binding:  # most share one mesh space
             shared = to_scene @ skin.binds[skin.place[node]]
             if abs(np.linalg.norm(shared[:3, 3] - parent[:3, 3]) - length) < SAME_LENGTH * length:
-                set_world(node, shared)
-                return
-        set_world(node, parent @ local)
+                return shared
+        return world
 
-    for node in file.node_order:
-        follow(node)
+    def follow() -> None:
+        for node in file.node_order:
+            if node not in found and (world := world_of(node)) is not None:
+                found[node] = world
+
+    follow()
     below: dict[int, list[np.ndarray]] = {}
     for node in reversed(file.node_order):
-        if node in below and not known[node]:  # as most children have it: one of them may be turned
-            set_world(node, min(below[node], key=lambda one: sum(np.abs(one - other).sum() for other in below[node])))
-        if known[node] and parents[node] >= 0 and not known[parents[node]]:
-            below.setdefault(int(parents[node]), []).append(worlds[node] @ np.linalg.pinv(file.node_locals[node]))
-    for node in file.node_order:
-        if not known[node]:
-            follow(node)
-    return worlds
+        if node in below and node not in found:  # as most children have it: one of them may be turned
+            away = np.abs(below[node] - np.median(below[node], axis=0)).sum(axis=(1, 2))
+            found[node] = below[node][away.argmin()]
+        if node in found and parents[node] >= 0 and parents[node] not in found:
+            below.setdefault(int(parents[node]), []).append(found[node] @ np.linalg.pinv(file.node_locals[node]))
+    follow()
+    return found
 
 
 def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:

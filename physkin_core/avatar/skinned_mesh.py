@@ -25,6 +25,7 @@ __all__ = [
     "clean_surface",
     "turn_upright",
     "unit_scale",
+    "with_joints_moved",
 ]
 
 HEIGHT_RANGE = (0.5, 3.0)
@@ -188,16 +189,23 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
         warnings += (f"the skeleton is turned by {heading:.0f} degrees about the upright axis: turned back",)
     if np.array_equal(turn, np.eye(3)):
         return mesh
-    turned = np.eye(4)
-    turned[:3, :3] = turn
-    return replace(
-        mesh,
-        vertices=mesh.vertices @ turn.T,
-        joint_heads=mesh.joint_heads @ turn.T,
-        joint_tails=mesh.joint_tails @ turn.T,
-        joint_frames=None if mesh.joint_frames is None else turned @ mesh.joint_frames,
-        warnings=warnings,
+    transforms = np.zeros((len(mesh.joint_names), 3, 4))
+    transforms[:, :, :3] = turn
+    return with_joints_moved(replace(mesh, vertices=mesh.vertices @ turn.T, warnings=warnings), transforms)
+
+
+def with_joints_moved(mesh: SkinnedMesh, transforms: np.ndarray) -> SkinnedMesh:
+    """The mesh with its joints, but not its vertices, moved by transforms (j, 3, 4)."""
+    frames = mesh.joint_frames
+    if frames is not None:
+        frames = frames.copy()
+        frames[:, :3] = transforms[..., :3] @ frames[:, :3]
+        frames[:, :3, 3] += transforms[..., 3]
+    heads, tails = (
+        np.einsum("jab,jb->ja", transforms[..., :3], at) + transforms[..., 3]
+        for at in (mesh.joint_heads, mesh.joint_tails)
     )
+    return replace(mesh, joint_heads=heads, joint_tails=tails, joint_frames=frames)
 
 
 def _standing_axes(heads: Mapping[str, np.ndarray]) -> list[np.ndarray]:

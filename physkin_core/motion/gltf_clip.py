@@ -21,7 +21,7 @@ from physkin_core.formats.gltf_file import (
     node_transform_parts,
     rotations_of,
 )
-from physkin_core.formats.gltf_joints import humanoid_nodes
+from physkin_core.formats.gltf_joints import humanoid_nodes, with_nodes_above
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
 __all__ = ["gltf_clip_names", "read_gltf_clip", "the_clip"]
@@ -77,10 +77,7 @@ def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     channels = _channels(file, animation)
     humanoid, skins = humanoid_nodes(file) or {}, read_skins(file, range(file.document.count("skins")))
     joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or set(channels)
-    for node in reversed(file.node_order):
-        if node in joints and file.node_parents[node] >= 0:
-            joints.add(int(file.node_parents[node]))
-    nodes = [node for node in file.node_order if node in joints]
+    nodes = with_nodes_above(file, joints)
     number = {node: joint for joint, node in enumerate(nodes)}
     times = [channel.times for its in channels.values() for channel in its.values()]
     start, end = min(each[0] for each in times), max(each[-1] for each in times)
