@@ -1,6 +1,6 @@
 """ASF/AMC files: a skeleton of bones, and the values of their channels in each frame.
 
-Lengths in the file's own unit, angles in degrees.
+Lengths in the file's own unit, angles in degrees unless the skeleton says radians.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ def read_amc(text: str, asf: str) -> SourceClip:
             )
         bones[fields["name"][0]] = fields
     parent_of = _parents(asf.partition(":hierarchy")[2], bones)
+    in_degrees = "rad" not in asf.partition(":units")[2].partition(":")[0].lower().split()
     order = asf.partition(":root")[2].partition("order")[2].split("\n")[0].upper().split()
     channels_of = {name: bones[name].get("dof", []) if parent else order for name, parent in parent_of.items()}
     frames = {name: array("d") for name, channels in channels_of.items() if channels}
@@ -53,15 +54,17 @@ def read_amc(text: str, asf: str) -> SourceClip:
             raise ContentError(f"{shown(name)} has values in {len(values)} of {count} frames, expected all, and some")
         if not parent:
             angles, places = ([order.index(f"{kind}{axis}") for axis in "XYZ"] for kind in "RT")
-            turns.append(Rotation.from_euler("xyz", values[:, angles], degrees=True))
+            turns.append(Rotation.from_euler("xyz", values[:, angles], degrees=in_degrees))
             root_places = values[:, places]
             continue
         if parent != "root":  # a bone starts where its parent ends
             length = float(bones[parent]["length"][0])
             offsets[joint] = [length * float(v) for v in bones[parent]["direction"]]
-        axes = Rotation.from_euler(fields["axis"][3].lower(), [float(v) for v in fields["axis"][:3]], degrees=True)
+        axes = Rotation.from_euler(
+            fields["axis"][3].lower(), [float(v) for v in fields["axis"][:3]], degrees=in_degrees
+        )
         letters = "".join(channel[1].lower() for channel in channels)
-        turned = Rotation.from_euler(letters, values, degrees=True) if channels else Rotation.identity(count)
+        turned = Rotation.from_euler(letters, values, degrees=in_degrees) if channels else Rotation.identity(count)
         turns.append(axes * turned * axes.inv())
     parents = [index.get(parent, -1) for parent in parent_of.values()]
     return posed_clip(list(index), parents, offsets, turns, {0: root_places}, count, AMC_RATE_HZ)

@@ -133,6 +133,8 @@ def load_landmarks(
 
 def _times(clip: Mapping[str, Any], count: int, rate_hz: float | None) -> np.ndarray:
     """(T,) [s] of frames."""
+    if rate_hz is not None and not 0 < rate_hz < np.inf:
+        raise ContentError(f"rate_hz must be positive and finite, got {rate_hz}")
     rate_hz = rate_hz or clip.get("rate_hz")
     if not rate_hz and clip.get("times") is None:
         log.warning("landmarks do not say their rate: %g frames a second are assumed", USUAL_HZ)

@@ -17,6 +17,7 @@ from gltf_person import (
 )
 from scipy.spatial import cKDTree
 
+from physkin_core import load_avatar
 from physkin_core.avatar.avatar import AvatarError
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps

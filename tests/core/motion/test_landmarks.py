@@ -425,6 +425,14 @@ def test_refused_files(tmp_path, name, content, said):
     assert f"{name}" in str(refused.value) and len(str(refused.value)) <= 300
 
 
+@pytest.mark.parametrize("rate_hz", [0.0, -30.0, np.inf, np.nan])
+def test_refused_rates(tmp_path, walk, rate_hz):
+    """None is replaced by the file's without a word."""
+    np.savez(tmp_path / "a.npz", points=walk[1], rate_hz=RATE_HZ)
+    with pytest.raises(MotionError, match="rate_hz must be positive and finite"):
+        physkin.load_motion(tmp_path / "a.npz", source_rate_hz=rate_hz)
+
+
 def test_refused_archives(tmp_path, monkeypatch):
     np.savez(tmp_path / "other.npz", trans=np.zeros(3))
     with pytest.raises(MotionError, match="it has no array `points`, but 'trans'"):
