@@ -123,20 +123,17 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
     if not bound:
         raise ContentError("it has no faces on its skeleton; a triangle mesh is needed")
     drawn, positions, *influences = zip(*bound)
-    surface = _joined(file, drawn, positions)
     attributes = tuple(map(joined_influences, influences))
-    vertices, faces, (joints, weights), kept = clean_surface(
-        surface.vertices, surface.faces, attributes, str(file.path)
-    )
+    surface, (joints, weights), kept = clean_surface(_joined(file, drawn, positions), attributes, str(file.path))
     nodes, worlds = skeleton.nodes, skeleton.worlds[skeleton.nodes]
     place = {node: k for k, node in enumerate(nodes)}
     held = (file.node_worlds[nodes] @ np.linalg.pinv(np.nan_to_num(worlds)))[:, :3]
-    scale, unit_warning = unit_scale(vertices)
+    scale, unit_warning = unit_scale(surface.vertices)
     frame = np.eye(4)
     frame[:3, :3] = scale * _frame(file)
     return SkinnedMesh(
-        vertices=vertices @ frame[:3, :3].T,
-        faces=faces,
+        vertices=surface.vertices @ frame[:3, :3].T,
+        faces=surface.faces,
         joint_names=tuple(file.nodes[node].text("name") or f"node {node}" for node in nodes),
         joint_parents=np.array([place.get(int(file.node_parents[node]), -1) for node in nodes]),
         joint_heads=worlds[:, :3, 3] @ frame[:3, :3].T,
@@ -147,10 +144,10 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
         humanoid=None if humanoid is None else {name: place[node] for name, node in humanoid.items()},
         warnings=(*dict.fromkeys(warnings), *unit_warning),
         part_names=surface.part_names,
-        face_parts=surface.face_parts[kept],
+        face_parts=surface.face_parts,
         clear_parts=surface.clear_parts,
-        seen=surface.seen[kept],
-        file_vertices=linear_blend_skinning(vertices, held, joints, weights),
+        seen=surface.seen,
+        file_vertices=linear_blend_skinning(surface.vertices, held, joints, weights),
         file_corners=np.concatenate([each.corners for each in drawn])[kept],
         joint_nodes=np.array(nodes),
         joint_frames=frame @ worlds,

@@ -5,7 +5,7 @@ Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `K` in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,24 +101,25 @@ def check_influence_count(count: int) -> None:
 
 
 def clean_surface(
-    vertices: np.ndarray, faces: np.ndarray, attributes: tuple[np.ndarray, ...], source: str
-) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    surface: Surface, attributes: Sequence[np.ndarray], source: str
+) -> tuple[Surface, tuple[np.ndarray, ...], np.ndarray]:
     """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
 
-    vertices: (V, 3). faces: (f, 3). attributes: arrays (V, ...) that must be equal, too, for vertices to be welded.
-    The order of what remains is kept; the last result tells which faces (f,) do.
-    Raises AvatarError on no faces, NaN or an index out of range.
+    attributes: arrays (V, ...) that must be equal, too, for vertices to be welded. The order of what remains is kept;
+    the last result tells which faces (f,) do. Raises AvatarError on no faces, NaN or an index out of range.
     """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    vertices, faces = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
     if fault := surface_fault(vertices, faces):
         raise AvatarError(f"avatar {source}: {fault}")
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
     faces = _first_of_its_kind(key + 0.0)[faces]
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    used, faces = np.unique(faces[distinct], return_inverse=True)
+    kept = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    used, faces = np.unique(faces[kept], return_inverse=True)
     if len(used) == 0:
         raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
-    return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes), distinct
+    parts, seen = (None if each is None else each[kept] for each in (surface.face_parts, surface.seen))
+    cleaned = replace(surface, vertices=vertices[used], faces=faces.reshape(-1, 3), face_parts=parts, seen=seen)
+    return cleaned, tuple(array[used] for array in attributes), kept
 
 
 def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
