@@ -52,10 +52,12 @@ def read_bvh(text: str, *, name: str = "BVH") -> SourceClip:
     names, parents, offsets, _ = zip(*tree)
     offsets, turns, places, column = np.array(offsets), [], {}, 0
     for joint, entry in enumerate(tree):
+        if any(kind == "POS" for _, kind in entry.channels):
+            places[joint] = np.tile(offsets[joint], (len(frames), 1))
         order, columns = "", []
         for axis, kind in entry.channels:
             if kind == "POS":
-                places.setdefault(joint, np.tile(offsets[joint], (len(frames), 1)))[:, axis] = frames[:, column]
+                places[joint][:, axis] = frames[:, column]
             elif kind == "ROT":
                 order, columns = order + "XYZ"[axis], [*columns, column]
             column += 1
@@ -64,9 +66,8 @@ def read_bvh(text: str, *, name: str = "BVH") -> SourceClip:
     moving = [joint for joint in places if parents[joint] >= 0]
     firsts = np.array([places[joint][0] for joint in moving]).reshape(-1, 3)
     lengths = np.linalg.norm(firsts, axis=1) @ np.linalg.norm(offsets[moving], axis=1)
-    if (
-        firsts * offsets[moving]
-    ).sum() <= lengths / 2:  # positions that replace offsets, as in most files, lie along them
+    # Positions that replace offsets, as in most files, lie along them; others are added.
+    if (firsts * offsets[moving]).sum() <= lengths / 2:
         for joint in moving:
             places[joint] += offsets[joint]
     for joint in moving:
