@@ -189,7 +189,7 @@ def _parser(forwarded: Mapping[str, argparse.ArgumentParser] | None = None) -> a
         return own
 
     worn = argparse.ArgumentParser(add_help=False)
-    worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, OBJ, PLY or STL file")
+    worn.add_argument("avatar", metavar="AVATAR", help="avatar: a GLB, glTF, VRM, FBX, OBJ, PLY or STL file")
     add_options(worn, "garment", "rig", "bones", "fit", "tucked")
     drape = command("drape", _drape, worn)
     drape.add_argument("--motion", default="walk", help="bundled motion or a motion file (default %(default)s)")

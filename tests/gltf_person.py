@@ -8,7 +8,7 @@ import numpy as np
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_core.formats.gltf_builder import GltfBuilder, write_glb
 from physkin_core.model.garment import vertex_normals
 from physkin_core.rig.canonical_pose import t_pose_rotations, turned_down_the_chain
 from physkin_core.rig.vrm_bones import HUMANOID_BONES

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_core.formats.gltf_builder import GltfBuilder, write_glb
 
 SMPL_JOINTS = {"Hips": 0, "LeftUpLeg": 1, "RightUpLeg": 2, "LeftLeg": 4, "RightLeg": 5, "LeftFoot": 7, "RightFoot": 8}
 SMPL_JOINTS |= {"Spine1": 9, "Head": 15, "LeftArm": 16, "RightArm": 17, "LeftForeArm": 18, "RightForeArm": 19}

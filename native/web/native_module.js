@@ -75,7 +75,10 @@ export async function bytesOf(source) {
   if (ArrayBuffer.isView(source)) return new Uint8Array(source.buffer, source.byteOffset, source.byteLength);
   const response = source instanceof Response ? source : await fetch(source);
   if (!response.ok) throw new PhyskinError(`cannot load ${response.url}: ${response.status} ${response.statusText}`);
-  return new Uint8Array(await response.arrayBuffer());
+  const bytes = new Uint8Array(await response.arrayBuffer());
+  if (!/^\s*</.test(new TextDecoder().decode(bytes.subarray(0, 64)))) return bytes;
+  const vite = 'with Vite, set optimizeDeps: { exclude: ["physkin"] }';
+  throw new PhyskinError(`${response.url} is a page of HTML: the server has no such file, or hides it (${vite})`);
 }
 
 // Compiled once, however many outfits there are.

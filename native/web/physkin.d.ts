@@ -44,7 +44,7 @@ export interface Outfit {
   readonly joints: readonly Joint[];
   /** Bones that joints turn, and the indices of these, in the order in which they are applied. */
   readonly bones: readonly { readonly name: string; readonly joints: readonly number[] }[];
-  /** From the skin outwards; zeros until the first `step`. */
+  /** From the skin outwards; as they hang at rest until the first `step`. */
   readonly garments: readonly Garment[];
   /** Text entries of the file. */
   readonly metadata: Readonly<Record<string, string>>;

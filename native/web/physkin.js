@@ -42,6 +42,9 @@ class Outfit {
     this.metadata = textsOf(file);
     const parts = native.physkin_part_count(this.#handle);
     this.garments = Array.from({ length: parts }, (_, part) => this.#readGarment(part));
+    const memory = native.memory.buffer.slice();
+    this.step({}); // so that what is drawn before the first frame hangs at rest; layers would remember it
+    this.#module.view(Uint8Array, 0, memory.byteLength).set(new Uint8Array(memory));
   }
 
   step(joints, { gravity, time, root } = {}) {

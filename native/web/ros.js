@@ -50,8 +50,8 @@ export class GarmentSkin {
     this.sizes = { transforms: 12 * mesh.node_count, detail_offsets: 3 * mesh.detail_node_count };
     this.#handle = this.#open({ ...mesh, face_count: mesh.faces.length / 3 });
     this.faces = Uint32Array.from(mesh.faces);
-    this.positions = new Float32Array(3 * mesh.vertex_count);
-    this.normals = new Float32Array(3 * mesh.vertex_count);
+    this.positions = inAxesOfGltf(mesh.rest_vertices);
+    this.normals = inAxesOfGltf(mesh.rest_normals);
     this.#input = module.room(4 * (this.sizes.transforms + this.sizes.detail_offsets));
     this.#rows = module.room(4 * ROW * mesh.vertex_count);
   }
@@ -89,6 +89,10 @@ export class GarmentSkin {
       [...places, given, handle].forEach((place) => module.native.free(place));
     }
   }
+}
+
+function inAxesOfGltf(vectors) {
+  return Float32Array.from(vectors, (_, at) => vectors[at - (at % 3) + ((at + 1) % 3)]);
 }
 
 function placed(module, mesh, field, Type, length) {

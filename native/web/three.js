@@ -1,12 +1,17 @@
 // Garments as three.js draws them.
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage } from "three";
 
-/** The geometry of a garment: positions, normals and faces. `refresh` it after each step. */
+const ROOM = 2; // times the radius of cloth at rest, for raised arms and legs
+
+/** The geometry of a garment: positions, normals and faces. `refresh` it after each step. Its bounding sphere has room for
+ * every pose. */
 export function garmentGeometry(garment) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", written(garment.positions));
   geometry.setAttribute("normal", written(garment.normals));
   geometry.setIndex(new BufferAttribute(garment.faces, 1));
+  geometry.computeBoundingSphere();
+  geometry.boundingSphere.radius *= ROOM;
   return geometry;
 }
 

@@ -1,4 +1,4 @@
-"""Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files.
+"""Avatars from glTF 2.0: GLB, glTF and VRM (0.x and 1.0) files, and FBX, which is read as glTF.
 
 The mesh is taken as it was bound to its joints (`gltf_skeleton`), with the morph weights that the file shows;
 `retargeting` then puts it into the canonical pose. A file without a skin is a plain mesh.
@@ -47,8 +47,8 @@ weights no body is spoilt."""
 
 
 def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
-    """Read a GLB, glTF or VRM file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
-    file = GltfFile(path, lenient=True)
+    """Read a GLB, glTF, VRM or FBX file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
+    file = GltfFile(path, lenient=True, clips=False)
     if not file.document.count("skins"):
         return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:

@@ -16,7 +16,8 @@ __all__ = ["BUNDLED_AVATAR", "GLTF_SUFFIXES", "load_avatar"]
 BUNDLED_AVATAR = Path(__file__).parents[1] / "assets" / "avatar.glb"
 """A sampled adult as GLB, to try things on."""
 
-GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".fbx")
+"""Of glTF, and what is read as such."""
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
 
@@ -29,7 +30,8 @@ def load_avatar(
     is kept in `Avatar.warnings`, and issued as one AvatarWarning each.
 
     Args:
-        path: GLB, glTF or VRM with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever axis is up.
+        path: GLB, glTF, VRM or FBX with a skin, or an OBJ, PLY or STL mesh; in any of the usual units, whichever
+            axis is up.
         rig: the garment model's.
         rig_file: skeleton of a plain mesh (docs/avatars.md#rig-file). None: `NAME.rig.json` beside `NAME.obj`, if it
             exists. A mesh without any skeleton gets the rig fitted to it, with a warning.

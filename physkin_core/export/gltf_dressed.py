@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core.export.gltf_builder import glb
 from physkin_core.export.gltf_scene import GltfScene, in_gltf_frame
+from physkin_core.formats.gltf_builder import glb
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look

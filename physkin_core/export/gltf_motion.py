@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, strongest_influences, write_glb
 from physkin_core.export.gltf_scene import GltfScene, in_gltf_frame
 from physkin_core.export.morph_targets import MorphTargets
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME, strongest_influences, write_glb
 from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.finishing import Finish
 from physkin_core.mesh.look import Look

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
 from physkin_core.export.morph_targets import MorphTargets
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
 from physkin_core.mesh.surfaces import Part, Picture, Surface, split_at_seams
 from physkin_core.model.garment import vertex_normals
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from physkin_core.export.gltf_builder import glb
 from physkin_core.export.gltf_scene import GltfScene
+from physkin_core.formats.gltf_builder import glb
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.surfaces import parts_of
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.export.gltf_dressed import dressed_glb
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.mesh.look import Look
 from physkin_core.motion.motion import Motion
 from physkin_core.native_module import native

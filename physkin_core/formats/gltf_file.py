@@ -1,4 +1,4 @@
-"""Reading glTF 2.0 files (GLB, glTF, VRM) into arrays: buffers, accessors, node transforms, triangles.
+"""Reading glTF 2.0 files (GLB, glTF, VRM), and FBX as glTF, into arrays: buffers, accessors, transforms, triangles.
 
 Dimensions: `N` elements of an accessor, `g` nodes. glTF's own frame and units.
 """
@@ -13,6 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from physkin_core.file_reading import ContentError, file_beside, read_bytes, shown
+from physkin_core.formats.fbx_file import FBX_SUFFIX, fbx_as_glb
 from physkin_core.formats.gltf_compression import DRACO, DracoMesh, draco_mesh, meshopt_extension, meshopt_view
 from physkin_core.formats.gltf_document import GltfEntry, parse_gltf
 
@@ -35,14 +36,18 @@ class GltfFile:
     """An open glTF file. Raises ContentError where the file is truncated, malformed or compressed in an unknown
     way. What it declares is compared with what it holds before memory is taken for it.
 
+    clips: whether those of an FBX file are wanted, too, which takes longer.
     document: its JSON. nodes: (g,). node_parents: (g,) int, -1 for none. node_order: a parent before its children.
     node_locals, node_worlds: (g, 4, 4) from node to its parent, and to the scene. mended: why a node is taken to be
     where its parent is, or not to be turned, by node. lenient: mend transforms that are not finite, too.
     """
 
-    def __init__(self, path: Path, *, lenient: bool = False) -> None:
+    def __init__(self, path: Path, *, lenient: bool = False, clips: bool = True) -> None:
         self.path = path
-        self.document, binary = parse_gltf(read_bytes(path))
+        content = read_bytes(path)
+        if path.suffix.lower() == FBX_SUFFIX:
+            content = fbx_as_glb(content, clips=clips)
+        self.document, binary = parse_gltf(content)
         self.nodes = self.document.entries("nodes")
         self._decoded_views: dict[int, bytes] = {}
         self._draco_meshes: dict[int, DracoMesh] = {}

@@ -91,5 +91,5 @@ def _obj_look(path: Path, warn: Callable[[str], None]) -> Look:
 
 def _gltf_look(path: Path, warn: Callable[[str], None]) -> Look:
     with reading(f"avatar {path}", AvatarError):
-        file = GltfFile(path)
+        file = GltfFile(path, clips=False)
         return gltf_look(file, drawn_primitives(file), warn)

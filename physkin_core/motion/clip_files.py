@@ -25,7 +25,7 @@ __all__ = ["CLIP_SUFFIXES", "describe_clips", "is_clip", "load_clip"]
 
 log = logging.getLogger(__name__)
 
-GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma")
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma", ".fbx")
 CLIP_SUFFIXES = (".bvh", ".amc", ".npz", *GLTF_SUFFIXES)
 LARGEST_SKELETON = 1 << 22
 """[bytes] of an ASF file: that of 1,000 bones has some hundred thousand."""

@@ -1,4 +1,4 @@
-"""Animation clips of glTF files: GLB, glTF, VRM, and VRMA, whose nodes rest in a T-pose.
+"""Animation clips of glTF files: GLB, glTF, VRM, FBX, and VRMA, whose nodes rest in a T-pose.
 
 Dimensions: `T` frames, `J` joints, `K` keys of a channel.
 """
@@ -69,7 +69,7 @@ def gltf_clip_names(file: GltfFile) -> list[str]:
 
 
 def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
-    """Read a clip of a .glb, .gltf, .vrm or .vrma file, sampled at the rate of its keys, `SLOWEST_HZ` to `RATE_HZ`.
+    """Read a clip of a glTF, VRM, VRMA or FBX file, sampled at the rate of its keys, `SLOWEST_HZ` to `RATE_HZ`.
 
     Joints are those of skins and of the humanoid, or what moves where there are none, and all that they hang on. At
     rest they are in the skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError.

@@ -51,9 +51,10 @@ def load_motion(
 
     Args:
         path_or_name: the name of an included motion (`bundled_motions`); a clip of any human skeleton, which is
-            retargeted to the default rig: .bvh, .amc, .vrma, SMPL's .npz, or .glb, .gltf and .vrm, whose first clip is
-            taken or, with `me.glb#Walk` or `me.glb#2`, another; landmarks, .csv, .json or .npz, as `load_landmarks`
-            reads them; a bag with joint states, .mcap, .db3 or their folder; or a file that `save_motion` wrote.
+            retargeted to the default rig: .bvh, .amc, .vrma, SMPL's .npz, or .glb, .gltf, .vrm and .fbx, whose first
+            clip is taken or, with `me.glb#Walk` or `me.glb#2`, another; landmarks, .csv, .json or .npz, as
+            `load_landmarks` reads them; a bag with joint states, .mcap, .db3 or their folder; or a file that
+            `save_motion` wrote.
         bones: which joint is which bone, a JSON file (docs/avatars.md#bones-file). None: `NAME.bones.json` beside
             `NAME.bvh`, if it exists.
         source_rate_hz: at which a clip was recorded, where its file has no rate or a wrong one. None: what it says.

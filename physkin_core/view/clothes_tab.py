@@ -48,7 +48,7 @@ class ClothesTab:
             self._skin = page.widget("rgb", "colour", skin, hint=hint, change=self._recolour)
             hint, change = "move arms and legs out of the trunk and each other", self._change_separation
             self._separate = page.widget("checkbox", "separate limbs", True, hint=hint, change=change)
-            hint = "GLB, VRM, OBJ, PLY or STL; send NAME.rig.json before NAME.obj"
+            hint = "GLB, VRM, FBX, OBJ, PLY or STL; send NAME.rig.json before NAME.obj"
             uploads.add_button("Load a body", hint=hint, load=self._load_body)
         self.show_what_is_worn()
 

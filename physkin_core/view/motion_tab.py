@@ -40,7 +40,7 @@ class MotionTab:
         hint = "along the floor's X axis, in an avatar's back as it stands at first; below 0 in its face"
         strengths = -STRONGEST_WIND, STRONGEST_WIND, 0.5, state.wind
         page.widget("slider", "wind [m/s]", *strengths, hint=hint, change=state.blow)
-        hint = "BVH, AMC (send its ASF before it), GLB, VRMA, SMPL's NPZ, a bag's .mcap or .db3 file"
+        hint = "BVH, AMC (send its ASF before it), GLB, FBX, VRMA, SMPL's NPZ, a bag's .mcap or .db3 file"
         uploads.add_button("Load a motion", hint=hint, load=self._load)
         self.follow()
 

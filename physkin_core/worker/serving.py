@@ -24,7 +24,7 @@ from typing import Any
 
 from physkin_core.worker.shared_arrays import store
 
-__all__ = ["serve"]
+__all__ = ["end_with", "limit_resources", "serve"]
 
 MIB = 1 << 20
 LONGEST_LINE = 1000
@@ -40,8 +40,8 @@ def serve(answer: Callable[[Any], object]) -> None:
     *given, seconds = sys.argv[1:]
     requests_end, answers_end, arrays, memory = map(int, given)
     requests, answers = Connection(requests_end, writable=False), Connection(answers_end, readable=False)
-    Thread(target=_end_with, args=(answers_end,), daemon=True).start()
-    _limit(memory)
+    Thread(target=end_with, args=(answers_end,), daemon=True).start()
+    limit_resources(memory)
     warnings.simplefilter("ignore")  # what is worth saying is in what is loaded
     logger = logging.getLogger("physkin_core")
     logger.setLevel(logging.INFO)
@@ -69,7 +69,7 @@ def _answered(answer: Callable[[Any], object], request: object, arrays: int) -> 
         return "failed", f"{type(error).__name__}: {error}"[:LONGEST_LINE]
 
 
-def _limit(memory: int) -> None:
+def limit_resources(memory: int) -> None:
     """Put this process under its limits. memory: [MiB] more than it has now."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends it, whatever it is doing
     has = 0
@@ -86,7 +86,7 @@ def _limit(memory: int) -> None:
     os.nice(POLITENESS)
 
 
-def _end_with(answers: int) -> None:
+def end_with(answers: int) -> None:
     """End this process when nobody reads from a pipe any more, however that came, and whatever is being done here."""
     poll = select.poll()
     poll.register(answers, select.POLLERR)

@@ -106,8 +106,8 @@ class AvatarSettings:
     garments: tuple[GarmentSettings, ...]
     body_mesh: str = _key(
         "",
-        "avatar to dress: a GLB, glTF, VRM, OBJ, PLY or STL file. A mesh without a skin may have a rig file beside it, "
-        "NAME.rig.json. Empty: the bundled avatar",
+        "avatar to dress: a GLB, glTF, VRM, FBX, OBJ, PLY or STL file. A mesh without a skin may have a rig file "
+        "beside it, NAME.rig.json. Empty: the bundled avatar",
         changes=True,
     )
     joint_map: str = _key(

@@ -23,8 +23,8 @@ from random_models import random_model
 from physkin_core import MotionError, load_avatar, load_garment_model, load_motion, save_garment_model
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.rig_file import read_rig_file
-from physkin_core.export.gltf_builder import write_glb
 from physkin_core.file_reading import LONGEST_SENTENCE
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
 from physkin_core.model.model_file import ModelFileError

@@ -19,6 +19,8 @@ const told = (work) => {
 
 async function answer() {
   const outfit = await loadOutfit(readFileSync(given.file), { wasm: readFileSync(`${folder}/physkin.wasm`) });
+  const clouds = () => outfit.garments.map(({ positions, normals }) => [base64(positions), base64(normals)]);
+  const rest = clouds();
   const arrays = outfit.garments.map(({ positions }) => positions);
   const frames = (given.frames ?? []).map(([joints, frame, wind, fabric]) =>
     told(() => {
@@ -26,7 +28,7 @@ async function answer() {
       if (fabric !== undefined) outfit.garments.forEach((garment) => (garment.fabric = fabric));
       outfit.step(joints, frame);
       return {
-        clouds: outfit.garments.map(({ positions, normals }) => [base64(positions), base64(normals)]),
+        clouds: clouds(),
         bones: Object.fromEntries(outfit.boneRotations(joints)),
       };
     }),
@@ -42,6 +44,7 @@ async function answer() {
     }),
   );
   return {
+    rest,
     joints: outfit.joints,
     garments: outfit.garments.map(({ name, faces, fabric, fabrics }) => ({ name, faces: Array.from(faces), fabric, fabrics })),
     kept: outfit.garments.every(({ positions }, k) => positions === arrays[k] && positions.length > 0),

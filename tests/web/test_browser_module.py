@@ -25,7 +25,7 @@ from physkin_core import (
     load_motion,
     with_fabric,
 )
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.rig.bone_rotations import BoneRotations
 
 PACKAGE = ROOT / "build" / "web"
@@ -174,6 +174,52 @@ def test_what_is_refused(bound, tmp_path):
     assert [frame["message"] for frame in frames[1:-1]] == list(cases)
     assert all(frame["ours"] for frame in frames[1:-1])
     assert frames[0]["clouds"] == frames[-1]["clouds"]
+
+
+def test_cloth_hangs_at_rest_before_the_first_frame(bound, tmp_path):
+    """What three.js makes of it is found where it hangs, and where raised arms take it."""
+    told = run(tmp_path, bound, frames=[[{}, {}]])
+    assert told["rest"] == told["frames"][0]["clouds"]
+    script = """
+        import { readFileSync } from "node:fs";
+        const [folder, file] = process.argv.slice(-2);
+        const { loadOutfit } = await import(`file://${folder}/physkin.js`);
+        const { garmentGeometry, refresh } = await import(`file://${folder}/three.js`);
+        const { Mesh, MeshBasicMaterial, DoubleSide, Raycaster, Vector3 } = await import("three");
+        const outfit = await loadOutfit(readFileSync(file), { wasm: readFileSync(`${folder}/physkin.wasm`) });
+        const mesh = new Mesh(garmentGeometry(outfit.garments[1]), new MeshBasicMaterial({ side: DoubleSide }));
+        const ray = new Raycaster(new Vector3(0, 0.2, 3), new Vector3(0, 0, -1));
+        const hits = [ray.intersectObject(mesh).length];
+        outfit.step({ "upperarm01.L_x": 1.5, "upperarm01.R_x": -1.5, spine03_x: 1.0 });
+        refresh(mesh.geometry);
+        const { boundingSphere, attributes } = mesh.geometry;
+        const place = new Vector3();
+        for (let k = 0; k < attributes.position.count; ++k) {
+          hits.push(boundingSphere.containsPoint(place.fromBufferAttribute(attributes.position, k)));
+        }
+        console.log(JSON.stringify([hits[0], hits.slice(1).every(Boolean), boundingSphere.radius]));
+    """
+    command = [NODE, "--input-type=module", "-e", script, "--", PACKAGE, bound]
+    done = subprocess.run(command, cwd=PACKAGE, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    hits, inside, radius = json.loads(done.stdout)
+    assert hits >= 2 and inside and 0.5 < radius < 2.0
+
+
+@pytest.mark.parametrize("of", ["wasm", "outfit"])
+def test_a_page_in_place_of_a_file_is_named(of, bound):
+    """As a development server answers for what it does not know, with status 200."""
+    script = """
+        import { readFileSync } from "node:fs";
+        const [folder, file, of] = process.argv.slice(-3);
+        const { loadOutfit } = await import(`file://${folder}/physkin.js`);
+        globalThis.fetch = async () => new Response("\\n<!DOCTYPE html><html></html>");
+        const told = of === "wasm" ? loadOutfit(readFileSync(file)) : loadOutfit("https://example.org/me.physkin");
+        console.log(await told.catch((error) => `${error.name}: ${error.message}`));
+    """
+    command = [NODE, "--input-type=module", "-e", script, "--", PACKAGE, bound, of]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    assert done.stdout.startswith("PhyskinError: ") and "is a page of HTML: the server has no such file" in done.stdout
 
 
 @pytest.mark.parametrize(

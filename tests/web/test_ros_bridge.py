@@ -17,7 +17,7 @@ from browser import CHROMIUM, Browser, served
 from import_graph import ROOT
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.model.skinning import SkinningData
 from physkin_core.runtime.evaluator import Skinner
 

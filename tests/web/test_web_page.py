@@ -13,7 +13,7 @@ from browser import CHROMIUM, Browser, served
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model
 from physkin_core.cli import main
 from physkin_core.export import web_page
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 
 GARMENTS = ("trousers", "tshirt")
 SIZE = (1000, 700)

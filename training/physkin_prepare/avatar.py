@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from physkin_core.avatar.body_model import BODY_MODEL_PATH, load_body_model
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_prepare.gltf_export import skinned_document
 
 __all__ = ["AVATAR_PATH", "BUNDLED_BODY", "prepare_avatar"]

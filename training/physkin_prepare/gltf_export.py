@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences
 
 __all__ = ["skinned_document"]
 

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in options.names:
         path, edge_length = PATTERNS / f"{name}.json", EDGE_LENGTHS[name]
         mesh = sewn_mesh(path, template, body_model.rig, edge_length=edge_length, device=device)
-        checked = check_garment(mesh, template, template)
+        checked = check_garment(mesh, template, template, sewn=True)
         if refused := checked.first("refused"):
             raise RuntimeError(f"{name}: {refused.check}: {refused.found}")
         write_garment(options.output / f"{name}.obj", checked)

@@ -51,8 +51,8 @@ def test_bad_coefficients_are_refused(coefficients):
 
 def test_unknown_extension_and_missing_file(tmp_path):
     """The extension decides; the error lists those allowed."""
-    (tmp_path / "body.fbx").write_bytes(b"x")
-    with pytest.raises(AvatarError, match=r"'\.fbx' is unknown; allowed: \.glb, \.gltf, \.vrm, \.obj, \.ply, \.stl"):
-        load_avatar(tmp_path / "body.fbx", BODY.rig)
+    (tmp_path / "body.dae").write_bytes(b"x")
+    with pytest.raises(AvatarError, match=r"'\.dae' is unknown; allowed: \.glb, \.gltf, \.vrm, \.fbx, \.obj, \.ply"):
+        load_avatar(tmp_path / "body.dae", BODY.rig)
     with pytest.raises(AvatarError, match="no such file"):
         load_avatar(tmp_path / "body.glb", BODY.rig)

@@ -12,7 +12,7 @@ from physkin_core.avatar import rig_fitting
 from physkin_core.avatar.avatar import AvatarError, AvatarWarning
 from physkin_core.avatar.loading import load_avatar
 from physkin_core.avatar.mesh_avatar import _upright_axis
-from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_core.formats.gltf_builder import GltfBuilder, write_glb
 from physkin_core.rig.rig import Rig
 
 T_VERTICES, T_HEADS, T_TAILS = t_posed_body(BODY, BODY.held_out_bodies[0])

@@ -10,7 +10,7 @@ from gltf_person import PERSON, RIG, load_document, person_document, primitive_o
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.loading import load_avatar
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.formats.gltf_file import GltfFile
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, tested with plain meshes

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
 from physkin_core.export.export import main as export
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.formats.gltf_file import GltfFile
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps

@@ -8,7 +8,7 @@ from gltf_person import PERSON, RIG, distances, load_document, person_document, 
 
 from physkin_core.avatar.avatar import AvatarError
 from physkin_core.avatar.loading import BUNDLED_AVATAR, load_avatar
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.rig.vrm_bones import HUMANOID_BONES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps

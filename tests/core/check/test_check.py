@@ -23,7 +23,7 @@ from physkin_core.check.advice import OutfitCheck, reason_and_advice
 from physkin_core.check.garment_check import Everyday, GarmentCheck, RestCheck, rest_check, stands_off_mm
 from physkin_core.check.likeness import Likeness, body_overlap, likeness
 from physkin_core.check.sight import hole_percent
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.motion.everyday_poses import everyday_poses
 
 WELL, BADLY = RestCheck(0.0, 0.0, 0.0), RestCheck(3.0, 5.0, 1.0)

@@ -4,7 +4,7 @@ import numpy as np
 from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
 
-from physkin_core.export.gltf_builder import FROM_ROOT_FRAME
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.runtime.evaluator import Skinner
 
 TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}

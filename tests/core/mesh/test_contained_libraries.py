@@ -7,7 +7,7 @@ import logging
 import numpy as np
 import pytest
 
-from physkin_core.export.gltf_builder import GltfBuilder, write_glb
+from physkin_core.formats.gltf_builder import GltfBuilder, write_glb
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.model.garment import GarmentError
 

@@ -5,7 +5,7 @@ import argparse
 import pytest
 from gltf_person import dressed_document
 
-from physkin_core.export.gltf_builder import write_glb
+from physkin_core.formats.gltf_builder import write_glb
 from physkin_core.outfit.outfit_options import add_outfit_options, chosen_garments, dressed
 
 

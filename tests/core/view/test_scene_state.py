@@ -159,7 +159,7 @@ def test_outfit_in_order_with_colours(asset_loader):
         (lambda state, folder: state.wear(["tshirt", "tshirt"]), "tshirt"),
         (lambda state, folder: state.wear(["tshirt"], tucked=["skirt"]), "--tucked skirt: none of the garments"),
         (lambda state, folder: state.wear(["nosuch"]), "no garment model 'nosuch'"),
-        (lambda state, folder: state.wear(body=folder / "me.fbx"), "the extension '.fbx' is unknown"),
+        (lambda state, folder: state.wear(body=folder / "me.dae"), "the extension '.dae' is unknown"),
         (lambda state, folder: state.wear(body=folder / "broken.glb"), "broken.glb"),
         (lambda state, folder: state.choose_motion(folder / "broken.bvh"), "broken.bvh"),
         (lambda state, folder: state.choose_motion("nosuch"), "no bundled motion 'nosuch'"),

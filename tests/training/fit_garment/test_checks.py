@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,19 @@ from training.small_runs import mesh_of
 
 from physkin_core import load_body_model, load_garment
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.mesh.mesh_file import read_mesh
+from physkin_core.mesh.mesh_file import MeshFile, read_mesh
 from physkin_core.model.garment import GarmentError
 from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.file_objects import chosen_objects
 from physkin_training.fit_garment.fitting import CLEARANCE, onto_body
 from physkin_training.fit_garment.verdicts import in_lines
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 Y_UP = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 CHECKS = [
-    "triangles", "units", "orientation", "position", "duplicates", "one layer", "manifold", "pieces", "winding",
-    "openings", "upright", "scale", "edge length", "pose", "overlap", "body", "self-intersection",
+    "triangles", "units", "orientation", "position", "duplicates", "one layer", "seams", "manifold", "pieces",
+    "winding", "openings", "upright", "scale", "edge length", "pose", "overlap", "body", "self-intersection",
     "flat rest shape",
 ]  # fmt: skip
 ONE_OF_A_KIND = ("longsleeve", "skirt")
@@ -180,6 +182,101 @@ def too_large(v, f):
     return 1.18 * (skirt.vertices - middle) + middle, skirt.faces
 
 
+def quarters(v, f, *, gap: float, fine: bool = False):
+    """Cut in four, the cloth of each drawn back at its new boundaries by half of the gap; fine: two of them with four
+    triangles for each of the others."""
+    which = 2 * (v[f, 1].mean(axis=1) > 0) + (v[f, 2].mean(axis=1) > v[:, 2].mean())
+    found, faces, first = [], [], 0
+    for quarter in range(4):
+        used, own = np.unique(f[which == quarter], return_inverse=True)
+        own = own.reshape(-1, 3)
+        shared = [np.isin(used, f[which == other]) for other in range(4) if other != quarter]
+        at = v[used]
+        rim = np.any(shared, axis=0)
+        inner = np.array([at[np.setdiff1d(own[(own == k).any(axis=1)], k)].mean(axis=0) for k in np.flatnonzero(rim)])
+        away = inner - at[rim]
+        at[rim] += gap / 2 * away / np.linalg.norm(away, axis=1, keepdims=True)
+        if fine and quarter in (0, 3):
+            at, own = trimesh.remesh.subdivide(at, own)
+        found, faces, first = [*found, at], [*faces, own + first], first + len(at)
+    return np.concatenate(found), np.concatenate(faces)
+
+
+@pytest.mark.parametrize("gap", [0.0001, 0.0005, 0.002])
+@pytest.mark.parametrize("fine", [False, True])
+def test_panels_that_nearly_touch_are_joined(gap, fine, shirt, template):
+    """To the cloth that they were cut from; where one side has more vertices, the other gets them."""
+    vertices, faces = shirt()
+    checked = check_garment(mesh_of(*quarters(vertices, faces, gap=gap, fine=fine)), template, template)
+    assert not checked.refused and outcomes(checked)["seams"] == "repaired"
+    assert "of boundaries joined that were up to" in found(checked, "seams") and found(checked, "pieces") == "one piece"
+    assert found(checked, "openings") == "4 openings"
+    touching, _ = quarters(vertices, faces, gap=0.0, fine=fine)
+    assert len(checked.vertices) == len(np.unique(np.round(touching, 7), axis=0)), "none is lost or left beside another"
+    if not fine:
+        assert len(checked.faces) == len(faces)
+        away = np.linalg.norm(checked.vertices[:, None] - vertices[::97], axis=-1).min(axis=0)
+        assert away.max() < gap
+
+
+def test_what_a_pattern_leaves_open_stays_open(shirt, template):
+    checked = check_garment(mesh_of(*quarters(*shirt(), gap=0.0005)), template, template, sewn=True)
+    assert "4 connected pieces" in found(checked, "pieces") and "seams" not in outcomes(checked)
+
+
+def test_panels_farther_apart_are_refused_with_place_and_gap(shirt, template):
+    checked = check_garment(mesh_of(*quarters(*shirt(), gap=0.006)), template, template)
+    assert checked.refused and checked.verdicts[-1].check == "seams"
+    assert re.match(r"separate pieces run along each other, \d\.\d mm apart, at \(.*\) m", checked.verdicts[-1].found)
+
+
+def in_one_file(*meshes):
+    """Vertices and faces of (vertices, faces), and which of them each face is of."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(meshes, starts)])
+    return np.concatenate([v for v, _ in meshes]), faces, np.repeat(np.arange(len(meshes)), [len(f) for _, f in meshes])
+
+
+def with_names(mesh: MeshFile, part: np.ndarray, *parts: str) -> MeshFile:
+    return replace(mesh, look=replace(mesh.look, part=part, parts=parts))
+
+
+@pytest.mark.parametrize("head", [True, False])
+def test_a_body_beside_the_garment_is_named(head, shirt, template):
+    """Closed, or as one that is open at the neck and made for nobody here. And the garment alone is taken when it is
+    chosen."""
+    below = template.vertices[template.faces, 2].max(axis=1) < (1.0 if head else 0.55)
+    skin = template.vertices if head else template.vertices * [1.03, 1.02, 1.0]
+    vertices, faces, part = in_one_file((skin, template.faces[below]), shirt())
+    mesh = with_names(mesh_of(vertices, faces), part, "Avatar", "Shirt")
+    last = check_garment(mesh, template, template).verdicts[-1]
+    assert (last.check, last.outcome) == ("pieces", "refused")
+    assert last.found == "the file holds a body ('Avatar') and a garment ('Shirt'); choose with --object NAME"
+    chosen = check_garment(chosen_objects(mesh, ["Shirt"]), template, template, chosen=True)
+    np.testing.assert_array_equal(chosen.vertices, check_garment(mesh_of(*shirt()), template, template).vertices)
+
+
+@pytest.mark.parametrize("names", [("top", "skirt"), ()])
+def test_two_garments_are_named(names, shirt, template):
+    """By their objects, or by their number; both of them are taken when both are chosen. Their faces come mixed."""
+    skirt = load_garment(GARMENTS / "skirt.obj")
+    vertices, faces, part = in_one_file(shirt(), (skirt.vertices, skirt.faces))
+    mixed = np.random.default_rng(0).permutation(len(faces))
+    mesh = mesh_of(vertices, faces[mixed])
+    if names:
+        mesh = with_names(mesh, part[mixed], *names)
+    first, second = names or ("2", "1")  # the skirt has more faces
+    last = check_garment(mesh, template, template).verdicts[-1]
+    assert last.check == "pieces" and f"a garment ('{first}')" in last.found and f"a garment ('{second}')" in last.found
+    assert len(chosen_objects(mesh, [second]).faces) == len(skirt.faces)
+    both = chosen_objects(mesh, [first, second])
+    assert "2 connected pieces" in found(check_garment(both, template, template, chosen=True), "pieces")
+    with pytest.raises(
+        ValueError, match=f"no object 'hat' in the garment's file; it has '{names[0] if names else 1}', "
+    ):
+        chosen_objects(mesh, ["hat"])
+
+
 def pinched_skirt(v, f):
     """Two halves that hang together at one vertex: they come apart there, and are then two pieces."""
     garment = load_garment(GARMENTS / "skirt.obj")
@@ -225,7 +322,7 @@ def book(v, f):
 
 
 def doubled(v, f):
-    """A copy beside it: outer sheets come from both, in patches."""
+    """A copy beside it: outer sheets come from both, in patches that are joined but for small holes."""
     return np.concatenate([v, v + [0.003, 0, 0]]), np.concatenate([f, f[:, ::-1] + len(v)])
 
 
@@ -246,7 +343,7 @@ WARNED = [
     pytest.param(finer, "edge length", "finer than training needs", marks=pytest.mark.slow),
     (crossing, "self-intersection", "edges go through a face"),
     (too_large, "scale", "times its size it would lie closer"),
-    (doubled, "pieces", "scraps dropped; separate pieces"),
+    (doubled, "openings", "4 openings, 21 holes"),
     (pinched_skirt, "pieces", "2 connected pieces"),
 ]
 REFUSED = [

@@ -329,7 +329,7 @@ def test_check_only_writes_the_repaired_mesh_and_trains_nothing(band, tmp_path, 
     assert main([*again, "--check-only", "--device", "cpu"]) == 0
     told = capsys.readouterr().out
     fine = re.search("^ok: (.*)$", told, re.MULTILINE)[1]
-    assert len(fine.split(", ")) == 18 and "warning: scale: " in told, "its loose cut"
+    assert len(fine.split(", ")) == 19 and "warning: scale: " in told, "its loose cut"
 
 
 def test_a_refused_mesh_is_told_in_one_line(tmp_path, capsys):

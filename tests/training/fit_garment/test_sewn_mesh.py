@@ -37,6 +37,7 @@ def test_a_pattern_is_sewn_and_checked(tmp_path, capsys, no_pictures):
             ["--edge-length", "0.02"],
             "--edge-length belongs to a sewing pattern (.json); skirt.obj is a mesh",
         ),
+        ("pattern.json", ["--object", "front"], "--object belongs to a mesh; pattern.json is a sewing pattern"),
         ("broken.json", [], "broken.json"),
     ],
 )

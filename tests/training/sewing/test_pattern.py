@@ -90,6 +90,14 @@ def changed(**changes) -> dict:
             "edge 1 of panel 'front' is sewn twice",
         ),
         (
+            changed(stitches=sides(("front", 1, "back", 2), ("front", 0, "back", 1))),
+            "stitch 1 sews edge 0 of panel 'front' to edge 1 of 'back': it would cross, as these panels hang",
+        ),
+        (
+            changed(stitches=[[*sides(("front", 1, "back", 2))[0], "left_right"]]),
+            "'pattern.stitches.0.2': input should be 'right_wrong' or none, got 'left_right'",
+        ),
+        (
             tube_skirt(gather=3.2),
             "edge 1 of panel 'front', 0.500 m, to edge 2 of 'back', 1.600 m: one may be at most 3",
         ),
@@ -115,6 +123,75 @@ def test_an_outline_that_is_open(tmp_path):
     pattern["pattern"]["panels"]["front"]["edges"][1]["endpoints"] = [2, 3]
     with pytest.raises(PatternError, match="panel 'front', edge 0 ends at corner 1 and the next one starts at 2"):
         load_pattern(written(tmp_path, pattern))
+
+
+def drawn_backwards(pattern: dict, name: str, *, mark: bool = False) -> dict:
+    """With a panel's edges in the opposite order, and its stitches to others marked as GarmentCode does then."""
+    edges = pattern["pattern"]["panels"][name]["edges"]
+    edges[:] = [edge | {"endpoints": edge["endpoints"][::-1]} for edge in edges[::-1]]
+    for stitch in pattern["pattern"]["stitches"]:
+        for side in stitch[:2]:
+            if side["panel"] == name:
+                side["edge"] = len(edges) - 1 - side["edge"]
+                stitch += ["right_wrong"] * mark
+    return pattern
+
+
+def seam_ends(pattern) -> np.ndarray:
+    """(stitches, 2, 2, 3) where the ends that each stitch sews together hang, in an order of their own."""
+    ends = [
+        [pattern.panels[name].hung(pattern.panels[name].edges[i].curve[[0, -1]]) for name, i in pair]
+        for pair in pattern.stitches
+    ]
+    ends = np.array(ends)
+    ends[:, 1] = ends[:, 1, ::-1]
+    return np.array([each[:, np.argsort(each[0, :, 2])] for each in ends])
+
+
+def winding(pattern) -> list[float]:
+    """How far forward each panel's outside faces."""
+    return [float(np.cross(*each.axes.T)[0]) for each in pattern.panels.values()]
+
+
+@pytest.mark.parametrize("name", ["front", "back"])
+@pytest.mark.parametrize("mark", [False, True])
+def test_a_panel_drawn_in_the_wrong_direction(name, mark, tmp_path, caplog):
+    """The same seams, and the same side out everywhere: with a warning, or as the marks of its seams say."""
+    wanted = load_pattern(written(tmp_path, tube_skirt()))
+    found = load_pattern(written(tmp_path, drawn_backwards(tube_skirt(), name, mark=mark)))
+    np.testing.assert_allclose(seam_ends(found), seam_ends(wanted), atol=1e-12)
+    assert winding(found) == pytest.approx(winding(wanted)) or winding(found) == pytest.approx(
+        [-each for each in winding(wanted)]
+    )
+    assert ("is drawn in the wrong direction for its stitches" in caplog.text) is not mark
+    for each in found.panels.values():
+        loop = np.array([edge.curve[0] for edge in each.edges])
+        following = np.roll(loop, -1, axis=0)
+        assert (loop[:, 0] * following[:, 1] - loop[:, 1] * following[:, 0]).sum() > 0, "counter-clockwise"
+
+
+def test_a_mark_that_would_twist_a_seam(tmp_path, caplog):
+    """Of one seam of two panels alone: it is sewn as without it, which is said."""
+    pattern = tube_skirt()
+    pattern["pattern"]["stitches"][1].append("right_wrong")
+    found = load_pattern(written(tmp_path, pattern))
+    assert found.stitches == load_pattern(written(tmp_path, tube_skirt())).stitches
+    assert "edge 3 of panel 'front' to edge 0 of 'back' would cross or twist if sewn start to start" in caplog.text
+
+
+def test_a_seam_listed_twice_is_one(tmp_path):
+    pattern = tube_skirt()
+    pattern["pattern"]["stitches"] += [pattern["pattern"]["stitches"][0][::-1], pattern["pattern"]["stitches"][1]]
+    assert load_pattern(written(tmp_path, pattern)).stitches == load_pattern(written(tmp_path, tube_skirt())).stitches
+
+
+def test_a_curve_as_older_patterns_have_it(tmp_path):
+    """Its control point by itself."""
+    edges = []
+    for bend in ([0.4, -0.2], {"type": "quadratic", "params": [[0.4, -0.2]]}):
+        square = panel([[0, 0], [40, 0], [40, 60], [0, 60]], bends={0: bend})
+        edges.append(load_pattern(written(tmp_path, alone(square))).panels["p"].edges[0].curve)
+    np.testing.assert_array_equal(*edges)
 
 
 @pytest.mark.skipif(not PATTERNS.exists(), reason=f"needs {PATTERNS}")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from training.sewing.patterns import panel, tube_skirt, written
+from training.sewing.patterns import panel, sides, tube_skirt, written
 
 from physkin_core import load_body_model
 from physkin_core.model.garment import face_areas
@@ -76,8 +76,17 @@ def test_what_does_not_fit(tmp_path, template):
 def test_a_seam_that_does_not_close(mesh):
     """Front and back are left 12 cm apart."""
     apart = np.column_stack([0.12 * mesh.panel_of, mesh.places])
-    with pytest.raises(PatternError, match="the seam of panels .* does not close: .* does it fit the body"):
+    words = "the seam of edge 3 of panel 'front' to edge 0 of 'back' does not close: .* does it fit the body"
+    with pytest.raises(PatternError, match=words):
         _joined(mesh, apart, _sewn_together(mesh))
+
+
+def test_a_seam_between_wrong_edges(tmp_path, template):
+    """Those of the front are exchanged: both seams would go through the body."""
+    pattern = tube_skirt(waist=43.0)
+    pattern["pattern"]["stitches"] = sides(("front", 1, "back", 0), ("front", 3, "back", 2))
+    with pytest.raises(PatternError, match="edge [13] of panel 'front' to edge [02] of 'back' would close through"):
+        sewn(cut_of(tmp_path, pattern), template, RIG, Material(), CPU)
 
 
 def test_stitches_that_make_no_surface(mesh, template):

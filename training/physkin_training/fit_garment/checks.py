@@ -18,6 +18,7 @@ from physkin_core.mesh.mesh_file import MeshFile, write_obj
 from physkin_core.model.garment import Garment, garment_of_mesh
 from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment import mesh_checks, wear_checks
+from physkin_training.fit_garment.file_objects import objects_at
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
 from physkin_training.fit_garment.verdicts import Checks, Verdict
@@ -70,13 +71,16 @@ def check_garment(
     *,
     own: OwnPose | None = None,
     accept_placement: bool = True,
+    chosen: bool = False,
+    sewn: bool = False,
 ) -> CheckedGarment:
     """Check a garment mesh and repair it.
 
     avatar: the body it was made on, in the canonical pose; own: in that of its file, where it is looked for first.
     template: the training template's garment body; a garment made on another body is moved over to it.
     accept_placement: do so although its place is in doubt, which may take minutes; otherwise the checks end there, and
-    the garment stays where it lies.
+    the garment stays where it lies. chosen: the user wants all of the mesh, whatever it is. sewn: of
+    a pattern, so that what is open is meant to be.
 
     Checks stop at the first refusal after which the others would mean nothing.
     """
@@ -92,13 +96,15 @@ def check_garment(
     else:
         _run(checks, [partial(wear_checks.check_placement, surface=canonical)])
     source = checks.vertices, checks.faces
+    named = None if chosen or sewn or checks.refused else objects_at(mesh, checks.vertices[checks.faces].mean(axis=1))
     _run(
         checks,
         [
             mesh_checks.check_duplicates,
             partial(mesh_checks.check_layers, surface=surface),
+            *([] if sewn else [mesh_checks.check_seams]),
             mesh_checks.check_manifold,
-            mesh_checks.check_pieces,
+            partial(mesh_checks.check_pieces, surface=surface, named=named),
             partial(wear_checks.check_winding, surface=surface),
             mesh_checks.check_openings,
             partial(wear_checks.check_upright, surface=surface),

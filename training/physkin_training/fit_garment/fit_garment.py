@@ -29,6 +29,7 @@ from physkin_core.pictures.picture import PictureError, save_png
 from physkin_training.config import as_toml, load_config
 from physkin_training.devices import DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
+from physkin_training.fit_garment.file_objects import chosen_objects
 from physkin_training.fit_garment.first_model import chosen_start, first_look, first_model, folds_verdict
 from physkin_training.fit_garment.own_pose import OwnPose
 from physkin_training.fit_garment.pictures import in_motion, placement_picture
@@ -131,6 +132,14 @@ def command_parser() -> argparse.ArgumentParser:
     )
     add_fit_options(parser)
     parser.add_argument(
+        "--object",
+        dest="objects",
+        action="append",
+        metavar="NAME",
+        help="of a mesh file only the object of this name, or its connected piece of this number where it names none; "
+        "may be given several times",
+    )
+    parser.add_argument(
         "--check-only",
         action="store_true",
         help="stop after the checks: print the verdicts, write the repaired mesh and a picture",
@@ -172,13 +181,18 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
     pattern = source.suffix.lower() == PATTERN_SUFFIX
     if settings.edge_length is not None and not pattern:
         raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {source} is a mesh")
+    if settings.objects and pattern:
+        raise ValueError(f"--object belongs to a mesh; {source} is a sewing pattern")
     if pattern:
         edge_length = EDGE_LENGTH if settings.edge_length is None else settings.edge_length
         mesh = sewn_mesh(source, avatar, body_model.rig, edge_length=edge_length, device=device)
     else:
         mesh = read_mesh(source)
+        if settings.objects:
+            mesh = chosen_objects(mesh, settings.objects)
     own = None if pattern or not settings.avatar else OwnPose.of(avatar, avatar.file_vertices, body_model.rig)
-    checked = check_garment(mesh, avatar, template, own=own, accept_placement=settings.accept_placement)
+    accept, chosen = settings.accept_placement, bool(settings.objects)
+    checked = check_garment(mesh, avatar, template, own=own, accept_placement=accept, chosen=chosen, sewn=pattern)
     place = partial(_draw_placement, folder / PLACEMENT, avatar=avatar, own=own)
     _refuse(source, checked, settings, place)
     likeness, verdict = chosen_start(checked.garment, settings.start)

@@ -5,6 +5,8 @@ Each takes the `Checks` so far, repairs its mesh and adds a verdict. Metres.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import trimesh
 
@@ -12,6 +14,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import mesh_edges, openings
 from physkin_training.contact.surface_queries import BodySurface, layers_near, piercing_edges
 from physkin_training.fit_garment import mesh_repair
+from physkin_training.fit_garment.boundary_seams import SEAM, find_runs, sewn_along
 from physkin_training.fit_garment.verdicts import Checks
 
 __all__ = [
@@ -21,6 +24,7 @@ __all__ = [
     "check_manifold",
     "check_openings",
     "check_pieces",
+    "check_seams",
     "check_self_intersection",
     "check_triangles",
     "openings_and_holes",
@@ -34,6 +38,11 @@ MOST_DROPPED = 0.005
 """Share of faces that may go for the sake of edges shared by three."""
 SMALL_PIECE = 0.02
 """Pieces of less than this share of the area are buttons and scraps, and dropped."""
+APART = 0.01
+"""[m] Pieces that run along each other, farther apart than is joined, are in doubt up to this gap."""
+SKIN, BULK = 0.0015, 0.01
+"""Half of a body is as near to the skin [m]. Volume by area and by longest extent of one that is closed, or open at the
+neck alone, at least: 0.02 is usual, and a padded coat has 0.008."""
 EDGE_RANGE = (0.006, 0.025)
 """[m] mean edge; the shipped garments have 0.015."""
 MOST_VERTICES = 20000
@@ -93,20 +102,59 @@ def check_manifold(checks: Checks) -> None:
     return checks.say("manifold", "repaired" if dropped or split else "ok", found, allowed)
 
 
-def check_pieces(checks: Checks) -> None:
-    """Separate pieces and scraps."""
+def check_seams(checks: Checks) -> None:
+    """Panels that are not quite joined."""
+    allowed = f"boundaries that run along each other are one; up to {1000 * SEAM:g} mm apart they are joined"
+    runs = find_runs(checks.vertices, checks.faces, SEAM)
+    if len(runs.gap):
+        checks.vertices, checks.faces = sewn_along(checks.vertices, checks.faces, runs)
+        checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces)
+    far = find_runs(checks.vertices, checks.faces, APART)
+    if far.apart.any():
+        place = ", ".join(f"{value:.2f}" for value in checks.vertices[far.vertex[far.apart][0]])
+        found = f"separate pieces run along each other, {1000 * far.gap[far.apart].min():.1f} mm apart, at ({place}) m"
+        return checks.say("seams", "refused", f"{found}: join their vertices", allowed)
+    if len(runs.gap) == 0:
+        return checks.say("seams", "ok", "no boundaries run along each other", allowed)
+    found = f"{100 * runs.length:.0f} cm of boundaries joined that were up to {1000 * runs.gap.max():.2f} mm apart"
+    return checks.say("seams", "repaired", found, allowed)
+
+
+def check_pieces(checks: Checks, surface: BodySurface, named: Callable[[np.ndarray], str] | None) -> None:
+    """Separate pieces and scraps; a body, or several garments. named: the file's objects at points (p, 3), in words;
+    None where the user has chosen them."""
     allowed = f"one piece; those below {100 * SMALL_PIECE:g} % of the area are dropped"
     label = mesh_repair.face_components(checks.faces)
     areas = checks.mesh.area_faces
     share = np.bincount(label, weights=areas) / areas.sum()
     small = share < SMALL_PIECE
-    checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces[~small[label]])
     found = f"{len(share)} connected pieces" if len(share) > 1 else "one piece"
+    if (~small).sum() > 1 and named:
+        pieces = [
+            mesh_repair.compacted(checks.vertices, checks.faces[label == each]) for each in np.flatnonzero(~small)
+        ]
+        kinds = [_kind(*piece, surface) for piece in pieces]
+        if 0 < kinds.count("a body") < len(kinds) or kinds.count("a garment") > 1:
+            holds = " and ".join(f"{kind} ({named(v[f].mean(axis=1))})" for kind, (v, f) in zip(kinds, pieces))
+            return checks.say("pieces", "refused", f"the file holds {holds}; choose with --object NAME", "one garment")
+    checks.vertices, checks.faces = mesh_repair.compacted(checks.vertices, checks.faces[~small[label]])
     if small.any():
         found += f", {int(small.sum())} scraps dropped"
     if (~small).sum() > 1:
         return checks.say("pieces", "warning", f"{found}; separate pieces do not hold each other", allowed)
     return checks.say("pieces", "repaired" if small.any() else "ok", found, allowed)
+
+
+def _kind(vertices: np.ndarray, faces: np.ndarray, surface: BodySurface) -> str:
+    """What a piece is: a body, a garment by itself, or a part of one."""
+    faces, _, _ = mesh_repair.wind_consistently(faces)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    on_skin = np.median(np.abs(surface.closest(vertices).distance)) < SKIN
+    into, holes = openings_and_holes(vertices, faces)
+    closed = len(into) < 2 and sum(_area_inside(mesh, loop) for loop in (*into, *holes)) < MOST_MISSING * mesh.area
+    if on_skin or (closed and abs(mesh.volume) > BULK * mesh.area * np.ptp(vertices, axis=0).max()):
+        return "a body"
+    return "a garment" if len(into) > 1 else "a part"
 
 
 def check_openings(checks: Checks) -> None:
@@ -124,7 +172,7 @@ def check_openings(checks: Checks) -> None:
     found = f"{len(into)} openings"
     if not holes:
         return checks.say("openings", "ok", found, allowed)
-    missing = sum(_area_inside(checks, hole) for hole in holes)
+    missing = sum(_area_inside(checks.mesh, hole) for hole in holes)
     missing /= missing + checks.mesh.area
     found += f", {len(holes)} holes, {100 * missing:.1f} % of the area"
     if missing > MOST_MISSING:
@@ -152,10 +200,10 @@ def _flat_pieces(mesh: trimesh.Trimesh) -> int:
     return len(one_way) if one_way.min() > FLAT else 0
 
 
-def _area_inside(checks: Checks, loop: np.ndarray) -> float:
+def _area_inside(mesh: trimesh.Trimesh, loop: np.ndarray) -> float:
     """Area [m2] of the triangles between the edges of a boundary loop, vertices (r,), and its middle."""
-    edges, count = mesh_edges(checks.faces)
-    rim = checks.vertices[edges[(count == 1) & np.isin(edges[:, 0], loop)]] - checks.vertices[loop].mean(axis=0)
+    edges, count = mesh_edges(mesh.faces)
+    rim = mesh.vertices[edges[(count == 1) & np.isin(edges[:, 0], loop)]] - mesh.vertices[loop].mean(axis=0)
     return float(np.linalg.norm(np.cross(rim[:, 0], rim[:, 1]), axis=1).sum() / 2)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -32,6 +33,7 @@ class FitSettings:
         avatar: file of the avatar that the garment was made on; None: the body of the shipped garments.
         rig, bones: rig file of an avatar without a skeleton, bones file of one with.
         edge_length: [m] of the triangles that a sewing pattern is cut into; None: `EDGE_LENGTH`. Not for a mesh.
+        objects: of a mesh file those to take, see `chosen_objects`; empty: all, which must then be one garment.
         accept_placement: whether a garment is trained though its place on the avatar is in doubt.
         check_only: whether all ends after the checks.
         minutes: for everything; None: the device's default, or as long as `steps` take.
@@ -51,6 +53,7 @@ class FitSettings:
     rig: str | None = None
     bones: str | None = None
     edge_length: float | None = None
+    objects: Sequence[str] = ()
     accept_placement: bool = False
     check_only: bool = False
     minutes: float | None = None

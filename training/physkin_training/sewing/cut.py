@@ -34,7 +34,7 @@ class Cut:
     places: (t, 2) where vertices are on the flat cloth, the second axis along the grain, with all panels beside each
     other as they are laid out to be cut. faces: (f, 3), counter-clockwise seen from outside. panel: (f,) index into
     `names` and `labels`. hung: (t, 3), about the body, see `Panel.hung`. seams: (s, 2), pairs of vertices that are sewn
-    together.
+    together. stitches: (s,), the stitch of each pair in words.
     """
 
     names: tuple[str, ...]
@@ -44,6 +44,7 @@ class Cut:
     panel: np.ndarray
     hung: np.ndarray
     seams: np.ndarray
+    stitches: np.ndarray
 
     @property
     def panel_of(self) -> np.ndarray:
@@ -83,6 +84,7 @@ def cut(pattern: Pattern, edge_length: float) -> Cut:
         tuple(panel.label for panel in pattern.panels.values()),
         *map(np.concatenate, (places, faces, owners, hung)),
         np.concatenate([*seams, np.zeros((0, 2), int)]),
+        np.repeat(pattern.named, [len(pairs) for pairs in seams]),
     )
 
 

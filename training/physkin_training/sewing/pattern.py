@@ -8,21 +8,24 @@ Dimensions: `v` corners of a panel, `k` points along an edge.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 from scipy.spatial.transform import Rotation
 
-from physkin_core.file_reading import ContentError, read_bytes, read_json, reading, shown
+from physkin_core.file_reading import ContentError, read_bytes, read_json, reading, sentence, shown
 
 __all__ = ["Edge", "Panel", "Pattern", "PatternError", "load_pattern"]
 
+log = logging.getLogger(__name__)
 LARGEST_PATTERN = 1 << 22  # [bytes]
 LARGEST_GATHER = 3.0
 """An edge may be at most so many times as long as the one it is sewn to."""
@@ -30,6 +33,11 @@ EXTENT = 0.15, 4.0
 """Width or height [m] of all panels together, from the smallest garment to the largest. Others are in another unit."""
 SHORTEST_EDGE = 1e-3  # [m]
 CURVE_SAMPLES = 200
+CROSSING = 0.2
+"""A seam crosses if the ends that it sews together lie farther apart than the other way around, in its shorter edges'
+lengths. In GarmentCode's patterns it is at most 0.09, of panels drawn in the wrong direction 0.48 and more."""
+TOWARDS_BODY = (0.3, 1.0, 1.0)
+"""How much distances count for that: panels hang well before and behind the body."""
 
 TO_ROOT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From Y up, Z forward to Z up, X forward."""
@@ -81,14 +89,20 @@ class Panel:
         """Places (..., 2) of its plane about the body (..., 3) [m]."""
         return places @ self.axes.T + self.place
 
+    def turned(self) -> Panel:
+        """Its edges the other way around, the last one first, so that its other side is outside."""
+        edges = tuple(Edge(edge.curve[::-1] * (-1.0, 1.0), edge.label) for edge in self.edges[::-1])
+        return replace(self, edges=edges, axes=self.axes * (-1.0, 1.0))
+
 
 @dataclass(frozen=True)
 class Pattern:
     """panels: by name. stitches: pairs of (panel name, index of its edge) that are sewn together, point by point over
-    their whole length, the second one against its direction."""
+    their whole length, the second one against its direction. named: what each of them is in the file."""
 
     panels: dict[str, Panel]
     stitches: tuple[tuple[tuple[str, int], tuple[str, int]], ...]
+    named: tuple[str, ...]
 
     def edge(self, side: tuple[str, int]) -> Edge:
         """Of a stitch's side."""
@@ -107,10 +121,15 @@ class _Bend:
     params: list[Two] | Three
 
 
+def _older_bend(given: object) -> object:
+    """The control point of a quadratic curve by itself, as older patterns have it, or what is given."""
+    return {"type": "quadratic", "params": [given]} if isinstance(given, list) else given
+
+
 @checked(frozen=True)
 class _Edge:
     endpoints: tuple[int, int]
-    curvature: _Bend | None = None
+    curvature: Annotated[_Bend | None, BeforeValidator(_older_bend)] = None
     label: str = ""
 
 
@@ -129,10 +148,21 @@ class _Side:
     edge: int
 
 
+MARK = "right_wrong"
+"""Of a seam that GarmentCode sews start to start, the right side of one panel on the wrong side of the other."""
+
+
+def _with_mark(stitch: object) -> object:
+    return [*stitch, None] if isinstance(stitch, list) and len(stitch) == 2 else stitch
+
+
+_Stitch = Annotated[tuple[_Side, _Side, Literal["right_wrong", None]], BeforeValidator(_with_mark)]
+
+
 @checked(frozen=True)
 class _Panels:
     panels: Annotated[dict[str, _Panel], Field(min_length=1, max_length=1000)]
-    stitches: Annotated[list[tuple[_Side, _Side]], Field(max_length=10000)]
+    stitches: Annotated[list[_Stitch], Field(max_length=10000)]
 
 
 @checked(frozen=True)
@@ -164,9 +194,13 @@ def load_pattern(path: str | Path) -> Pattern:
         _check_extent(panels.values(), file.properties.units_in_meter)
         for panel in panels.values():
             _check_outline(panel)
-        stitches = tuple(tuple((side.panel, side.edge) for side in pair) for pair in file.pattern.stitches)
+        each: dict[frozenset, tuple] = {}
+        for stitch in file.pattern.stitches:
+            each.setdefault(frozenset((side.panel, side.edge) for side in stitch[:2]), stitch)
+        stitches = tuple(tuple((side.panel, side.edge) for side in pair) for *pair, _ in each.values())
         _check_stitches(panels, stitches)
-        return Pattern(panels, stitches)
+        marked = np.array([mark is not None for *_, mark in each.values()], dtype=bool)
+        return _directed(panels, stitches, marked, lambda text: log.warning("%s", sentence(f"pattern {path}: {text}")))
 
 
 def _panel(name: str, panel: _Panel, metres: float) -> Panel:
@@ -290,3 +324,45 @@ def _check_stitches(panels: dict[str, Panel], stitches: tuple) -> None:
                 f"stitch {number} sews edge {i} of panel {shown(first)}, {lengths[0]:.3f} m, to edge {j} of "
                 f"{shown(second)}, {lengths[1]:.3f} m: one may be at most {LARGEST_GATHER:g} times as long as the other"
             )
+
+
+def _directed(panels: dict[str, Panel], stitches: tuple, marked: np.ndarray, warn: Callable[[str], None]) -> Pattern:
+    """Panels turned over that are drawn in the wrong direction for their stitches, as they hang, or are sewn with their
+    wrong side out. marked: (stitches,) those that are to be sewn start to start."""
+    named = tuple(f"edge {i} of panel {shown(one)} to edge {j} of {shown(other)}" for (one, i), (other, j) in stitches)
+    pairs = np.searchsorted(names := sorted(panels), [[name for name, _ in pair] for pair in stitches]).reshape(-1, 2)
+    hung = [[panels[name].hung(panels[name].edges[i].curve[[0, -1]]) for name, i in pair] for pair in stitches]
+    one, other = np.reshape(hung, (-1, 2, 2, 3)).swapaxes(0, 1) * TOWARDS_BODY
+    apart, swapped = (np.linalg.norm(one - ends, axis=2).sum(axis=1) for ends in (other[:, ::-1], other))
+    shorter = np.minimum(*(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) for ends in (one, other)))
+    crossing = np.where(marked, swapped - apart, apart - swapped) / np.maximum(shorter, SHORTEST_EDGE)
+    certain = np.where(marked, 0.1, 1.0) * np.where(np.abs(crossing) > CROSSING, crossing, 0.0)
+    drawn_wrong = _turned_over(pairs, certain, len(names))
+    for index in np.flatnonzero(drawn_wrong):
+        warn(f"panel {shown(names[index])} is drawn in the wrong direction for its stitches; it is turned over")
+    crosses = np.where(drawn_wrong[pairs].sum(axis=1) == 1, -crossing, crossing) > CROSSING
+    for stitch in np.flatnonzero(crosses & ~marked):
+        raise ContentError(f"stitch {stitch} sews {named[stitch]}: it would cross, as these panels hang")
+    wrong_side = _turned_over(pairs, np.where(marked & ~crosses, 0.1, -1.0), len(names))
+    for stitch in np.flatnonzero(crosses | marked ^ (wrong_side[pairs].sum(axis=1) == 1)):
+        warn(f"{named[stitch]} would cross or twist if sewn start to start ({MARK!r}); it is sewn end to start")
+    turned = dict(zip(names, drawn_wrong ^ wrong_side))
+    found = {name: panel.turned() if turned[name] else panel for name, panel in panels.items()}
+    last = {name: len(panel.edges) - 1 for name, panel in panels.items()}
+    sides = (tuple((name, last[name] - i if turned[name] else i) for name, i in pair) for pair in stitches)
+    return Pattern(found, tuple(sides), named)
+
+
+def _turned_over(pairs: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
+    """Which of `count` panels (count,), the fewer ones, to turn over so that seams between panels `pairs` (s, 2) cost
+    least: their `cost` (s,), its opposite where one of both is turned. The strongest decide."""
+    between = np.zeros((count, count))
+    np.add.at(between, tuple(np.sort(pairs, axis=1).T), cost)
+    sewn = np.argwhere(np.triu(between, 1))
+    sign, group = np.ones(count), np.arange(count)
+    for one, other in sewn[np.argsort(-np.abs(between[tuple(sewn.T)]), kind="stable")]:
+        members = group == group[other]
+        if not members[one]:
+            sign[members] *= -np.sign(sign[one] * sign[other] * between[one, other])
+            group[members] = group[one]
+    return sign * np.where(np.bincount(group, sign, count) < 0, -1, 1)[group] < 0

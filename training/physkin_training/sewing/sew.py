@@ -52,6 +52,9 @@ LIFT, LIFT_STEP = 0.12, 0.01
 """[m] How far panels are lifted at most, for shoulders higher than those of the pattern's body, and in what steps."""
 CLEARANCE = 0.03
 """[m] How much lower panels could hang without a seam that closes through the doll."""
+MOST_THROUGH = 0.7
+"""Share of a seam that may close through the doll: up to 0.4 does where a bodice hangs low, all of it between wrong
+edges."""
 CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
 """Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
 between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
@@ -158,16 +161,24 @@ class Arms:
 def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
     """Where the vertices (t, 3) [m] of a cut begin: every panel close to the flat doll and at the height of those that
     it is sewn to. All are lifted so that as few seams as possible close through the doll, here and up to CLEARANCE
-    lower."""
+    lower. Raises PatternError for a stitch that would still do so."""
     hung = cut.hung + [0.0, 0.0, avatar.vertices[:, 2].min()]
     panel_of = cut.panel_of
     hung[:, 0] -= (1 - NEAR) * (np.bincount(panel_of, hung[:, 0]) / np.bincount(panel_of))[panel_of]
     hung[:, 2] += _against_each_other(hung[:, 2], cut)[panel_of]
     surface, below = BodySurface(doll, avatar.faces), round(CLEARANCE / LIFT_STEP)
     lifts = LIFT_STEP * np.arange(-below, round(LIFT / LIFT_STEP) + 1)
-    through = [_closing_through(hung + [0.0, 0.0, lift], cut.seams, surface) for lift in lifts]
-    windows = np.lib.stride_tricks.sliding_window_view(through, below + 1).sum(axis=1)
-    return hung + [0.0, 0.0, lifts[below + windows.argmin()]]
+    through = np.array([_closing_through(hung + [0.0, 0.0, lift], cut.seams, surface) for lift in lifts])
+    windows = np.lib.stride_tricks.sliding_window_view(through.sum(axis=1), below + 1).sum(axis=1)
+    lift = below + windows.argmin()
+    stitches, stitch = np.unique(cut.stitches, return_inverse=True)
+    share = np.bincount(stitch, through[lift]) / np.bincount(stitch)
+    if share.max() > MOST_THROUGH:
+        raise PatternError(
+            f"the seam of {stitches[share.argmax()]} would close through the body, as these panels hang; are they the "
+            "right edges, and does it fit the body?"
+        )
+    return hung + [0.0, 0.0, lifts[lift]]
 
 
 def _staying(cut: Cut) -> int:
@@ -189,8 +200,8 @@ def _against_each_other(heights: np.ndarray, cut: Cut) -> np.ndarray:
     return np.linalg.lstsq(between, np.append(apart, 0.0), rcond=None)[0]
 
 
-def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> int:
-    """How many of the seams' pairs close through the body."""
+def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> np.ndarray:
+    """Which (s,) of the seams' pairs close through the body."""
     ends = hung[seams]
     apart = ends[:, 1] - ends[:, 0]
     length = np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
@@ -199,7 +210,7 @@ def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> 
         face, at = body.facing(start, direction, float(length.max()))
         hit = np.einsum("sc,scx->sx", at, body.vertices[body.faces[face]])
         through |= (face >= 0) & (np.linalg.norm(hit - start, axis=1) < length[:, 0])
-    return int(through.sum())
+    return through
 
 
 def _close(
@@ -240,9 +251,8 @@ def _joined(cut: Cut, closed: np.ndarray, vertex: np.ndarray) -> Garment:
     closed."""
     gaps = np.linalg.norm(closed[cut.seams[:, 1]] - closed[cut.seams[:, 0]], axis=1)
     if not gaps.max() <= LARGEST_GAP:
-        one, other = (cut.names[cut.panel_of[vertex]] for vertex in cut.seams[gaps.argmax()])
         raise PatternError(
-            f"the seam of panels {one!r} and {other!r} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
+            f"the seam of {cut.stitches[gaps.argmax()]} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
             f"are {1000 * LARGEST_GAP:g} mm; does it fit the body?"
         )
     middle = np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]

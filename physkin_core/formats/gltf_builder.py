@@ -26,7 +26,7 @@ class GltfBuilder:
     """A glTF document and its binary buffer while they grow."""
 
     def __init__(self, asset: Mapping[str, str]) -> None:
-        self.document: dict = {"asset": {"version": "2.0", **asset}, "buffers": [{}]}
+        self.document: dict = {"asset": {"version": "2.0", **asset}, "buffers": [{"byteLength": 0}]}
         self.document |= {"bufferViews": [], "accessors": []}
         self.binary = bytearray()
 
