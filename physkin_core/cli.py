@@ -22,7 +22,7 @@ from physkin_core.extras import extra_of, install_command
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import write_obj
 from physkin_core.model.model_file import split_fabric
-from physkin_core.motion.clip_files import CLIP_SUFFIXES, describe_clips
+from physkin_core.motion.clip_files import describe_clips, is_clip
 from physkin_core.outfit.outfit_options import add_options, as_asked, dressed, read_motion
 from physkin_core.output_file import check_folder, check_other_file
 from physkin_core.pictures.picture import PictureError, render, save_png
@@ -253,8 +253,7 @@ def _write_obj(path: Path, outfit: Outfit, body: np.ndarray, cloth: Sequence[np.
 
 
 def _info(options: argparse.Namespace) -> int:
-    is_clip = Path(options.model).suffix.lower() in CLIP_SUFFIXES
-    if is_clip and (clips := describe_clips(options.model, load_body_model().rig)):
+    if is_clip(options.model) and (clips := describe_clips(options.model, load_body_model().rig)):
         return _print_rows(clips)
     model = load_garment_model(options.model)
     garment, rig = model.garment, model.rig

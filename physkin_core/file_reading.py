@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import codecs
 import json
+import math
 import os
 import re
 import reprlib
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,7 @@ __all__ = [
     "ContentError",
     "file_beside",
     "listed",
+    "numbers_of",
     "read_bytes",
     "read_json",
     "read_text",
@@ -38,6 +40,7 @@ LONGEST_SENTENCE = 300  # [characters] of an error
 LONGEST_VALUE = 60  # [characters] of a value in an error
 LISTED = 4
 """Of many names in an error."""
+NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?", re.IGNORECASE)
 LONGEST_INTEGER = 1 << 10  # [bits]; Python refuses to write much longer ones
 
 
@@ -93,6 +96,18 @@ def with_decimal_points(line: str) -> str:
         return line
     line = line.replace(";", " ")
     return line.replace(",", " " if "." in line or re.search(r",(\s|$|[^\s,]*,)", line) else ".")
+
+
+def numbers_of(words: Sequence[str], count: int, line: int) -> list[float]:
+    """The `count` finite numbers that words of a line are. Raises ContentError, naming it, where they are not."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        wrong = next((word for word in words if not NUMBER.fullmatch(word)), f"{len(words)} values")
+        raise ContentError(f"line {line} has {shown(wrong)}; allowed are {count} finite numbers")
+    return numbers
 
 
 def read_json(content: bytes) -> object:

@@ -17,6 +17,7 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import APPENDAGE, BODY, CLOTHES, UNKNOWN, kind_of_part
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
+from physkin_core.rig.linear_blend_skinning import strongest_influence
 from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["with_appendages_apart"]
@@ -45,7 +46,7 @@ def with_appendages_apart(
     """
     if rig.bone_names != load_body_model().rig.bone_names:
         return mesh
-    strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_influence(mesh.influence_joints, mesh.influence_weights)
     bones = joint_bones[strongest]
     off = _off_bones(mesh.vertices, heads[bones], tails[bones])
     shoulders = min(heads[rig.bone_index(f"upperarm01.{side}"), 2] for side in "LR")
@@ -115,7 +116,7 @@ def _off_bones(points: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.n
 def _flesh() -> np.ndarray:
     """(b,) [m] how far from each bone flesh reaches at most; shared, do not write."""
     body = load_body_model()
-    bones = body.influence_bones[np.arange(len(body.mean_vertices)), body.influence_weights.argmax(axis=1)]
+    bones = strongest_influence(body.influence_bones, body.influence_weights)
     usual = np.zeros(len(body.mean_bones))
     np.maximum.at(usual, bones, _off_bones(body.mean_vertices, *body.mean_bones[bones].swapaxes(0, 1)))
     return STOUT * np.where(usual > 0, usual, usual.max()) + LOOSE

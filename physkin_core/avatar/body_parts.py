@@ -24,6 +24,7 @@ from physkin_core.file_reading import shown
 from physkin_core.model.garment import face_areas
 from physkin_core.model.surface_sampling import sample_surface
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
+from physkin_core.rig.linear_blend_skinning import strongest_influence
 from physkin_core.rig.rig import Rig
 
 __all__ = [
@@ -113,8 +114,7 @@ def split_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: f
     """
     if len(mesh.part_names) < 2:
         return BodyParts(mesh)
-    strongest = np.take_along_axis(mesh.influence_joints, mesh.influence_weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-    bones = joint_bones[strongest[mesh.faces[:, 0]]]
+    bones = joint_bones[strongest_influence(mesh.influence_joints, mesh.influence_weights)[mesh.faces[:, 0]]]
     face_area = face_areas(mesh.vertices, mesh.faces)
     cells = len(mesh.part_names), len(REGION_BONES) + 1
     cell = np.ravel_multi_index((mesh.face_parts, _bone_regions(rig)[bones]), cells)
@@ -195,8 +195,9 @@ def bare_parts(avatar: Avatar, rig: Rig) -> tuple[str, ...]:
     body = load_body_model()
     if rig.bone_names != body.rig.bone_names:
         return ()
-    strongest = np.take_along_axis(avatar.influence_bones, avatar.influence_weights.argmax(axis=1)[:, None], axis=1)
-    regions = _bone_regions(rig)[strongest[avatar.faces[:, 0], 0]]
+    regions = _bone_regions(rig)[
+        strongest_influence(avatar.influence_bones, avatar.influence_weights)[avatar.faces[:, 0]]
+    ]
     areas = np.bincount(regions, face_areas(avatar.vertices, avatar.faces), len(REGION_BONES) + 1)
     size = np.linalg.norm(avatar.bone_heads, axis=1).mean() / np.linalg.norm(body.mean_bones[:, 0], axis=1).mean()
     bare = np.flatnonzero(areas < BARE * size**2 * _usual_areas(rig))
@@ -244,9 +245,7 @@ def _usual_areas(rig: Rig) -> np.ndarray:
     body = load_body_model()
     if rig.bone_names != body.rig.bone_names:
         return np.full(len(REGION_BONES) + 1, np.inf)
-    rows = np.arange(len(body.mean_vertices))
-    strongest = body.influence_bones[rows, body.influence_weights.argmax(axis=1)]
-    region = _bone_regions(rig)[strongest[body.faces[:, 0]]]
+    region = _bone_regions(rig)[strongest_influence(body.influence_bones, body.influence_weights)[body.faces[:, 0]]]
     return np.bincount(region, face_areas(body.mean_vertices, body.faces), len(REGION_BONES) + 1)
 
 

@@ -28,12 +28,12 @@ from physkin_core.avatar.skinned_mesh import (
 )
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import humanoid_nodes
+from physkin_core.formats.gltf_joints import humanoid_nodes, nearest_above, with_nodes_above
 from physkin_core.formats.gltf_scene import Drawn, drawn_primitives, in_scene, material_of
 from physkin_core.mesh.gltf_look import seen_faces, shows_through
 from physkin_core.rig.joint_names import read_name
-from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning
-from physkin_core.rig.rig import Rig, ancestors
+from physkin_core.rig.linear_blend_skinning import joined_influences, linear_blend_skinning, strongest_influence
+from physkin_core.rig.rig import Rig
 
 __all__ = ["load_gltf"]
 
@@ -58,44 +58,46 @@ def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones
 
 def _plain_mesh(file: GltfFile) -> Surface:
     """All meshes of a file without skins, in glTF's frame."""
-    parts, start = [], 0
-    for drawn in drawn_primitives(file):
-        placed = in_scene(file, drawn.node, drawn.positions)
-        looks = _part_names(file, drawn), shows_through(file, drawn), seen_faces(file, drawn)
-        parts.append((placed, drawn.faces + start, *looks))
-        start += len(placed)
-    if not parts:
+    placed = [(drawn, in_scene(file, drawn.node, drawn.positions)) for drawn in drawn_primitives(file)]
+    if not placed:
         raise ContentError("it has no faces; a triangle mesh is needed")
-    vertices, faces, names, clear, seen = zip(*parts)
-    face_parts = np.repeat(np.arange(len(parts)), list(map(len, faces)))
-    clear_parts = frozenset(np.flatnonzero(clear).tolist())
-    vertices, faces, seen = map(np.concatenate, (vertices, faces, seen))
-    return Surface(vertices, faces, names, face_parts, clear_parts, seen)
+    return _joined(file, *zip(*placed))
+
+
+def _joined(file: GltfFile, drawn: Sequence[Drawn], positions: Sequence[np.ndarray]) -> Surface:
+    """Primitives at positions (V, 3) as one surface, each a part of it."""
+    starts = np.cumsum([0, *map(len, positions)])
+    return Surface(
+        vertices=np.concatenate(positions),
+        faces=np.concatenate([each.faces + start for each, start in zip(drawn, starts)]),
+        part_names=tuple(_part_names(file, each) for each in drawn),
+        face_parts=np.repeat(np.arange(len(drawn)), [len(each.faces) for each in drawn]),
+        clear_parts=frozenset(part for part, each in enumerate(drawn) if shows_through(file, each)),
+        seen=np.concatenate([seen_faces(file, each) for each in drawn]),
+    )
 
 
 def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
     humanoid = humanoid_nodes(file)
-    skinned = [_Skinned(drawn, file.nodes[drawn.node].index("skin")) for drawn in drawn_primitives(file)]
+    skinned = [(drawn, file.nodes[drawn.node].index("skin")) for drawn in drawn_primitives(file)]
     counts = dict.fromkeys(range(file.document.count("skins")), 0)
-    for each in skinned:
-        if each.skin is not None:
-            file.document.item("skins", each.skin)
-            counts[each.skin] += len(each.drawn.positions)
+    for drawn, skin in skinned:
+        if skin is not None:
+            file.document.item("skins", skin)
+            counts[skin] += len(drawn.positions)
     skeleton = find_skeleton(file, counts, rig, humanoid)
     warnings = [*_mended(file, humanoid or {}), *skeleton.warnings]
-    skinned = [each for each in skinned if each.skin in (None, *skeleton.skins)]
-    coarse = coarse_copies([each.drawn for each in skinned if each.skin is not None])
+    coarse = coarse_copies([drawn for drawn, skin in skinned if skin in skeleton.skins])
     if coarse:
         called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
         warnings.append(f"these meshes draw again what others draw finer: {called}; left out")
-    bound, rigid = [], []
+    bound, rigid, carriers = [], [], nearest_above(file, skeleton.joint)
     for drawn, skin in skinned:
-        if drawn.node in coarse:
+        if drawn.node in coarse or skin not in (None, *skeleton.skins):
             continue
         label = shown(file.nodes[drawn.node].text("name") or f"node {drawn.node}")
         if skin is None:
-            above = ancestors(file.node_parents, drawn.node)
-            carrier = next((skeleton.joint[each] for each in above if each in skeleton.joint), None)
+            carrier = carriers.get(drawn.node)
             if carrier is None:
                 warnings.append(f"mesh {label} has no skin and hangs on no joint: left out")
                 continue
@@ -120,24 +122,18 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
         warnings.append(f"{part} has no skinning weights: it moves with joint {shown(name)}, at which it lies")
     if not bound:
         raise ContentError("it has no faces on its skeleton; a triangle mesh is needed")
-    starts = np.cumsum([0, *(len(each.positions) for each in bound)])
-    names = tuple(_part_names(file, each.drawn) for each in bound)
-    clear = [shows_through(file, each.drawn) for each in bound]
-    seen = np.concatenate([seen_faces(file, each.drawn) for each in bound])
-    face_parts = np.repeat(np.arange(len(bound)), [len(each.drawn.faces) for each in bound])
-    influences = tuple(joined_influences([getattr(each, name) for each in bound]) for name in ("joints", "weights"))
-    faces = np.concatenate([each.drawn.faces + start for each, start in zip(bound, starts)])
-    vertices = np.concatenate([each.positions for each in bound])
-    vertices, faces, (joints, weights), kept = clean_surface(vertices, faces, influences, str(file.path))
+    drawn, positions, *influences = zip(*bound)
+    attributes = tuple(map(joined_influences, influences))
+    surface, (joints, weights), kept = clean_surface(_joined(file, drawn, positions), attributes, str(file.path))
     nodes, worlds = skeleton.nodes, skeleton.worlds[skeleton.nodes]
     place = {node: k for k, node in enumerate(nodes)}
     held = (file.node_worlds[nodes] @ np.linalg.pinv(np.nan_to_num(worlds)))[:, :3]
-    scale, unit_warning = unit_scale(vertices)
+    scale, unit_warning = unit_scale(surface.vertices)
     frame = np.eye(4)
     frame[:3, :3] = scale * _frame(file)
     return SkinnedMesh(
-        vertices=vertices @ frame[:3, :3].T,
-        faces=faces,
+        vertices=surface.vertices @ frame[:3, :3].T,
+        faces=surface.faces,
         joint_names=tuple(file.nodes[node].text("name") or f"node {node}" for node in nodes),
         joint_parents=np.array([place.get(int(file.node_parents[node]), -1) for node in nodes]),
         joint_heads=worlds[:, :3, 3] @ frame[:3, :3].T,
@@ -147,22 +143,15 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
         source=str(file.path),
         humanoid=None if humanoid is None else {name: place[node] for name, node in humanoid.items()},
         warnings=(*dict.fromkeys(warnings), *unit_warning),
-        part_names=names,
-        face_parts=face_parts[kept],
-        clear_parts=frozenset(np.flatnonzero(clear).tolist()),
-        seen=seen[kept],
-        file_vertices=linear_blend_skinning(vertices, held, joints, weights),
-        file_corners=np.concatenate([each.drawn.corners for each in bound])[kept],
+        part_names=surface.part_names,
+        face_parts=surface.face_parts,
+        clear_parts=surface.clear_parts,
+        seen=surface.seen,
+        file_vertices=linear_blend_skinning(surface.vertices, held, joints, weights),
+        file_corners=np.concatenate([each.corners for each in drawn])[kept],
         joint_nodes=np.array(nodes),
         joint_frames=frame @ worlds,
     )
-
-
-class _Skinned(NamedTuple):
-    """A primitive and the number of its skin, None for none."""
-
-    drawn: Drawn
-    skin: int | None
 
 
 class _Bound(NamedTuple):
@@ -185,7 +174,7 @@ def _lying_at(drawn: Drawn, transform: np.ndarray, bound: Sequence[_Bound]) -> _
     from scipy.spatial import cKDTree
 
     placed = drawn.positions @ transform[:, :3].T + transform[:, 3]
-    strongest = [np.take_along_axis(each.joints, each.weights.argmax(axis=1)[:, None], axis=1)[:, 0] for each in bound]
+    strongest = [strongest_influence(each.joints, each.weights) for each in bound]
     near = np.concatenate(strongest)[cKDTree(np.concatenate([each.positions for each in bound])).query(placed)[1]]
     return _Bound(drawn, placed, *_on(drawn, int(np.bincount(near).argmax())))
 
@@ -194,7 +183,7 @@ def _mended(file: GltfFile, humanoid: Mapping[str, int]) -> list[str]:
     """What was wrong with nodes that decide nothing, a warning each. Raises ContentError where one is, or bears, a bone
     that has a name."""
     telling = (k for k, node in enumerate(file.nodes) if k in humanoid.values() or read_name(node.text("name")).bones)
-    deciding = {above for node in telling for above in ancestors(file.node_parents, node)}
+    deciding = set(with_nodes_above(file, telling))
     for node, fault in file.mended.items():
         if node in deciding and "turns by nothing" not in fault:
             raise ContentError(fault)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from physkin_core.avatar.skinned_mesh import clean_surface
+from physkin_core.avatar.skinned_mesh import Surface, clean_surface
 from physkin_core.formats.gltf_scene import Drawn
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_core.quality import closest_points
@@ -51,4 +51,4 @@ def _repeats(surface: tuple[np.ndarray, np.ndarray], finer: tuple[np.ndarray, np
 
 
 def _open_share(surface: tuple[np.ndarray, np.ndarray]) -> float:
-    return float((mesh_edges(clean_surface(*surface, (), "")[1])[1] == 1).mean())
+    return float((mesh_edges(clean_surface(Surface(*surface), (), "")[0].faces)[1] == 1).mean())

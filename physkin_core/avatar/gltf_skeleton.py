@@ -10,7 +10,7 @@ Dimensions: `g` nodes, `k` joints of a skin. glTF's frame and the file's unit.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,12 +19,12 @@ import numpy as np
 from physkin_core.avatar.skinned_mesh import check_bone_count
 from physkin_core.file_reading import ContentError, listed
 from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import skin_nodes
+from physkin_core.formats.gltf_joints import nearest_above, skin_nodes, with_nodes_above
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import Rig, ancestors
 
-__all__ = ["GltfSkeleton", "GltfSkin", "find_skeleton"]
+__all__ = ["GltfSkeleton", "GltfSkin", "bind_worlds", "find_skeleton", "read_skins"]
 
 SAME_POSE = 1e-3
 """Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
@@ -89,13 +89,11 @@ def find_skeleton(
     vertex_counts: by skin of the file, 0 for those that draw nothing. humanoid: node by VRM humanoid bone; a VRM is
     taken as its nodes stand, in T-pose. Raises ContentError.
     """
-    entries = file.document.entries("skins")
-    check_bone_count(len({joint for number in vertex_counts for joint in skin_nodes(file, entries[number])}))
+    check_bone_count(len({joint for entry in file.document.entries("skins") for joint in skin_nodes(file, entry)}))
     drawing = sorted(vertex_counts, key=lambda number: -vertex_counts[number])
     drawing = [number for number in drawing if vertex_counts[number] or not vertex_counts[drawing[0]]]
-    skins = {number: _skin(file, number) for number in drawing}
-    groups = sorted(_groups(file, skins), key=min)
-    figures = [_Figure(file, {number: skins[number] for number in group}, rig, humanoid) for group in groups]
+    groups = sorted(_groups(file, read_skins(file, drawing)), key=min)
+    figures = [_Figure(file, group, rig, humanoid) for group in groups]
     people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
     people = people or [figure for figure in figures if drawing[0] in figure.skins]
     largest = max(figure.extent for figure in people)
@@ -130,18 +128,15 @@ class _Figure:
     ) -> None:
         self.skins, self._rig = skins, rig
         self.joints = {joint for skin in skins.values() for joint in skin.joints}
-        within = (*(humanoid or {}).values(), *self.joints)
-        inside = {above for joint in within for above in ancestors(file.node_parents, joint)}
-        check_bone_count(len(inside))
-        self.nodes = [node for node in file.node_order if node in inside]
+        self.nodes = with_nodes_above(file, {*(humanoid or {}).values(), *self.joints})
+        check_bone_count(len(self.nodes))
         place = {node: k for k, node in enumerate(self.nodes)}
         self._names = [file.nodes[node].text("name") or f"node {node}" for node in self.nodes]
         self.parents = np.array([place.get(int(file.node_parents[node]), -1) for node in self.nodes], dtype=int)
         self._humanoid = None if humanoid is None else {bone: place[node] for bone, node in humanoid.items()}
         self.worlds = file.node_worlds
-        bound = [skin for skin in skins.values() if skin.given]
-        if humanoid is None and bound:
-            self._take_bind_pose(_bind_worlds(file, bound))
+        if humanoid is None and any(skin.given for skin in skins.values()):
+            self._take_bind_pose(bind_worlds(file, skins))
         self.heads = self.worlds[self.nodes][:, :3, 3]
         self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
 
@@ -162,12 +157,6 @@ class _Figure:
         for k in np.flatnonzero(joints & ~begins):
             nearest[k] = nearest[other.parents[k]]
         return nearest if np.median(apart[begins]) < NEAR * self.extent else None
-
-    def _is_copied_by(self, other: _Figure) -> bool:
-        """Whether another person's joints lie where this one's do, as those of clothes that bring the skeleton."""
-        shared = self.human.joints.keys() & other.human.joints.keys()
-        gaps = [self.heads[self.human.joints[bone]] - other.heads[other.human.joints[bone]] for bone in shared]
-        return bool(np.linalg.norm(gaps, axis=1).max() < COPY * self.extent)
 
     def _take_bind_pose(self, worlds: np.ndarray) -> None:
         """Take the body from the bind pose, unless it is none, or the figure stands as its nodes are and not there."""
@@ -209,6 +198,11 @@ def _stands(human: HumanSkeleton, heads: np.ndarray) -> bool:
     return bool((legs @ trunk > STANDS * np.linalg.norm(legs, axis=2) * np.linalg.norm(trunk)).all())
 
 
+def read_skins(file: GltfFile, numbers: Iterable[int]) -> dict[int, GltfSkin]:
+    """Skins by number. Raises ContentError for one without joints, or without any finite inverse bind matrix of 16."""
+    return {number: _skin(file, number) for number in numbers}
+
+
 def _skin(file: GltfFile, number: int) -> GltfSkin:
     entry = file.document.item("skins", number)
     joints, matrices = skin_nodes(file, entry), entry.index("inverseBindMatrices")
@@ -229,69 +223,78 @@ def _skin(file: GltfFile, number: int) -> GltfSkin:
     return GltfSkin(joints, inverse, binds, given=True)
 
 
-def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[list[int]]:
-    """Numbers of skins that share joints, or whose joints hang on each other's."""
-    group, owner = {number: number for number in skins}, {}
+def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[dict[int, GltfSkin]]:
+    """Skins that share joints, or whose joints hang on each other's, together; each group in the order of `skins`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
-    def join(one: int, other: int) -> None:
-        first, second = group[one], group[other]
-        if first != second:
-            group.update({number: first for number, each in group.items() if each == second})
+    number, edges = {skin: k for k, skin in enumerate(skins)}, []
+    owner: dict[int, int] = {}
+    for skin in skins:
+        edges += [(number[skin], owner.setdefault(joint, number[skin])) for joint in skins[skin].joints]
+    carrier = nearest_above(file, owner)
+    edges += [(its, carrier.get(int(file.node_parents[joint]), its)) for joint, its in owner.items()]
+    graph = coo_array((np.ones(len(edges)), np.transpose(edges)), (len(skins), len(skins)))
+    groups: dict[int, dict[int, GltfSkin]] = {}
+    for skin, group in zip(skins, connected_components(graph, directed=False)[1]):
+        groups.setdefault(group, {})[skin] = skins[skin]
+    return list(groups.values())
 
-    for number, skin in skins.items():
-        for joint in skin.joints:
-            join(number, owner.setdefault(joint, number))
-    for joint, number in owner.items():
-        above = next((each for each in ancestors(file.node_parents, joint)[1:] if each in owner), joint)
-        join(number, owner[above])
-    return [[number for number in skins if group[number] == each] for each in dict.fromkeys(group.values())]
+
+def bind_worlds(file: GltfFile, skins: Mapping[int, GltfSkin]) -> np.ndarray:
+    """(g, 4, 4) from node to scene where joints are as skins bind them, and others follow, or are as the file has them.
+
+    Of skins that hang together, joints of the first are as it says. The scene's axes are mesh space's, turned by
+    quarters towards what the file shows.
+    """
+    worlds = file.node_worlds.copy()
+    given = {number: skin for number, skin in skins.items() if skin.given}
+    for group in _groups(file, given) if given else []:
+        for node, world in _bound_worlds(file, *group.values()).items():
+            worlds[node] = world
+    return worlds
 
 
-def _bind_worlds(file: GltfFile, skins: Sequence[GltfSkin]) -> np.ndarray:
-    """(g, 4, 4) from node to scene where the skins' joints are as they were bound, those of the first skin as it says.
-    The scene's axes are mesh space's, turned by quarters towards what the file shows."""
-    worlds, parents = np.full((len(file.nodes), 4, 4), np.nan), file.node_parents
-    known = np.zeros(len(worlds), dtype=bool)
-    to_scene = _to_scene(file, skins[0])
+def _bound_worlds(file: GltfFile, first: GltfSkin, *others: GltfSkin) -> dict[int, np.ndarray]:
+    """As `bind_worlds`, by node, of skins that hang together and of what hangs on their joints, or carries them."""
+    found: dict[int, np.ndarray] = {}
+    parents, to_scene = file.node_parents, _to_scene(file, first)
 
-    def set_world(node: int, world: np.ndarray) -> None:
-        worlds[node], known[node] = world, True
-
-    def follow(node: int) -> None:
-        if node in skins[0].place:
-            set_world(node, to_scene @ skins[0].binds[skins[0].place[node]])
-            return
-        for skin in (skin for skin in skins[1:] if node in skin.place):
+    def world_of(node: int) -> np.ndarray | None:
+        if node in first.place:
+            return to_scene @ first.binds[first.place[node]]
+        binding = [skin for skin in others if node in skin.place]
+        for skin in binding:
             above = ancestors(parents, node)[1:]
-            anchor = next((each for each in above if known[each] and each in skin.place), None)
+            anchor = next((each for each in above if each in found and each in skin.place), None)
             if anchor is not None:
-                relative = skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
-                set_world(node, worlds[anchor] @ relative)
-                return
-        if parents[node] < 0 or not known[parents[node]]:
-            return
-        parent, local = worlds[parents[node]], file.node_locals[node]
-        length = np.linalg.norm(parent[:3, :3] @ local[:3, 3])
-        for skin in (skin for skin in skins[1:] if node in skin.place):  # most share one mesh space
+                return found[anchor] @ skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
+        parent = found.get(int(parents[node]))
+        if parent is None:
+            return None
+        world = parent @ file.node_locals[node]
+        length = np.linalg.norm(world[:3, 3] - parent[:3, 3])
+        for skin in binding:  # most share one mesh space
             shared = to_scene @ skin.binds[skin.place[node]]
             if abs(np.linalg.norm(shared[:3, 3] - parent[:3, 3]) - length) < SAME_LENGTH * length:
-                set_world(node, shared)
-                return
-        set_world(node, parent @ local)
+                return shared
+        return world
 
-    for node in file.node_order:
-        follow(node)
+    def follow() -> None:
+        for node in file.node_order:
+            if node not in found and (world := world_of(node)) is not None:
+                found[node] = world
+
+    follow()
     below: dict[int, list[np.ndarray]] = {}
     for node in reversed(file.node_order):
-        if node in below and not known[node]:  # as most children have it: one of them may be turned
-            set_world(node, min(below[node], key=lambda one: sum(np.abs(one - other).sum() for other in below[node])))
-        if known[node] and parents[node] >= 0 and not known[parents[node]]:
-            below.setdefault(int(parents[node]), []).append(worlds[node] @ np.linalg.pinv(file.node_locals[node]))
-    for node in file.node_order:
-        if not known[node]:
-            follow(node)
-    worlds[~known] = file.node_worlds[~known]
-    return worlds
+        if node in below and node not in found:  # as most children have it: one of them may be turned
+            away = np.abs(below[node] - np.median(below[node], axis=0)).sum(axis=(1, 2))
+            found[node] = below[node][away.argmin()]
+        if node in found and parents[node] >= 0 and parents[node] not in found:
+            below.setdefault(int(parents[node]), []).append(found[node] @ np.linalg.pinv(file.node_locals[node]))
+    follow()
+    return found
 
 
 def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:

@@ -62,19 +62,19 @@ def retarget_plain_mesh(
             f"rig file {chosen} has skinning weights for {len(attributes[0])} vertices, the mesh has "
             f"{len(surface.vertices)}; they go with the vertices one by one, in the order of the mesh file"
         )
-    vertices, faces, attributes, kept = clean_surface(surface.vertices, surface.faces, attributes, source)
+    corners = np.arange(surface.faces.size).reshape(-1, 3)
+    surface, attributes, kept = clean_surface(surface, attributes, source)
+    vertices, faces = surface.vertices, surface.faces
     scale, warnings = unit_scale(vertices) if description.scale is None else (description.scale, ())
     axis = description.up
     if axis is None:
         axis = up if description.bones else _upright_axis(vertices, faces, up)
         warnings += () if axis == up else (f"{axis} is taken to be up, not {up}: it is symmetric and tallest so",)
     to_root = scale * axes_to_root_frame(axis, description.forward)
-    parts = {"part_names": surface.part_names, "clear_parts": surface.clear_parts, "warnings": warnings}
-    for name in ("face_parts", "seen"):
-        of_faces = getattr(surface, name)
-        parts[name] = None if of_faces is None else of_faces[kept]
-    in_file, vertices = vertices, vertices @ to_root.T
-    origin = {"file_vertices": in_file, "file_corners": np.arange(surface.faces.size).reshape(-1, 3)[kept]}
+    parts = {name: getattr(surface, name) for name in ("part_names", "face_parts", "clear_parts", "seen")}
+    parts["warnings"] = warnings
+    origin = {"file_vertices": vertices, "file_corners": corners[kept]}
+    vertices = vertices @ to_root.T
     if not description.bones:
         check_size(vertices, source)
         fitted = _fitted(vertices, faces, rig, source, **parts)

@@ -19,7 +19,7 @@ from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import bare_parts, split_body
 from physkin_core.avatar.joint_identification import identify_bones
 from physkin_core.avatar.skin_beneath import with_skin_beneath
-from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright
+from physkin_core.avatar.skinned_mesh import SkinnedMesh, check_size, turn_upright, with_joints_moved
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, limb_rotations, smallest_rotation, turned_down_the_chain
 from physkin_core.rig.human_skeleton import spine_bones
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
@@ -181,19 +181,9 @@ def _canonical(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> Sk
     except ValueError as error:
         raise AvatarError(f"avatar {mesh.source}: {error}") from error
     joint_turn = {joint: turns[bone] for bone, joint in bone_joint.items() if bone in turns}
-    transforms, posed = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
-    return replace(
-        mesh,
-        vertices=linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights),
-        joint_heads=posed,
-        joint_frames=None if mesh.joint_frames is None else _as_4x4(transforms) @ mesh.joint_frames,
-        joint_tails=np.einsum("jab,jb->ja", transforms[..., :3], mesh.joint_tails) + transforms[..., 3],
-    )
-
-
-def _as_4x4(transforms: np.ndarray) -> np.ndarray:
-    """(j, 4, 4) of (j, 3, 4)."""
-    return np.concatenate([transforms, np.tile([0.0, 0.0, 0.0, 1.0], (len(transforms), 1, 1))], axis=1)
+    transforms, _ = turned_down_the_chain(mesh.joint_heads, mesh.joint_parents, joint_turn)
+    vertices = linear_blend_skinning(mesh.vertices, transforms, mesh.influence_joints, mesh.influence_weights)
+    return with_joints_moved(replace(mesh, vertices=vertices), transforms)
 
 
 def _file_joints(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig, root: np.ndarray) -> dict:

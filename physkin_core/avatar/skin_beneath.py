@@ -20,6 +20,7 @@ from physkin_core.avatar.shape_fitting import lay_beneath
 from physkin_core.avatar.surface_matching import with_normals
 from physkin_core.model.garment import face_areas, vertex_normals
 from physkin_core.model.surface_sampling import sample_surface
+from physkin_core.rig.linear_blend_skinning import strongest_influence
 
 __all__ = ["with_skin_beneath"]
 
@@ -106,8 +107,7 @@ def _near(surface: np.ndarray, lacking: np.ndarray) -> np.ndarray:
 
 def _free_vertices(body: BodyModel) -> np.ndarray:
     """(V,) bool: of head, hands and feet, which garments leave free."""
-    strongest = body.influence_weights.argmax(axis=1)[:, None]
-    return free_bones(body.rig)[np.take_along_axis(body.influence_bones, strongest, axis=1)[:, 0]]
+    return free_bones(body.rig)[strongest_influence(body.influence_bones, body.influence_weights)]
 
 
 def _corner_of_nearest(skin: Avatar, centres: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `K` in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ __all__ = [
     "clean_surface",
     "turn_upright",
     "unit_scale",
+    "with_joints_moved",
 ]
 
 HEIGHT_RANGE = (0.5, 3.0)
@@ -100,24 +101,25 @@ def check_influence_count(count: int) -> None:
 
 
 def clean_surface(
-    vertices: np.ndarray, faces: np.ndarray, attributes: tuple[np.ndarray, ...], source: str
-) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
+    surface: Surface, attributes: Sequence[np.ndarray], source: str
+) -> tuple[Surface, tuple[np.ndarray, ...], np.ndarray]:
     """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
 
-    vertices: (V, 3). faces: (f, 3). attributes: arrays (V, ...) that must be equal, too, for vertices to be welded.
-    The order of what remains is kept; the last result tells which faces (f,) do.
-    Raises AvatarError on no faces, NaN or an index out of range.
+    attributes: arrays (V, ...) that must be equal, too, for vertices to be welded. The order of what remains is kept;
+    the last result tells which faces (f,) do. Raises AvatarError on no faces, NaN or an index out of range.
     """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    vertices, faces = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
     if fault := surface_fault(vertices, faces):
         raise AvatarError(f"avatar {source}: {fault}")
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
     faces = _first_of_its_kind(key + 0.0)[faces]
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    used, faces = np.unique(faces[distinct], return_inverse=True)
+    kept = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    used, faces = np.unique(faces[kept], return_inverse=True)
     if len(used) == 0:
         raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
-    return vertices[used], faces.reshape(-1, 3), tuple(array[used] for array in attributes), distinct
+    parts, seen = (None if each is None else each[kept] for each in (surface.face_parts, surface.seen))
+    cleaned = replace(surface, vertices=vertices[used], faces=faces.reshape(-1, 3), face_parts=parts, seen=seen)
+    return cleaned, tuple(array[used] for array in attributes), kept
 
 
 def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
@@ -173,7 +175,10 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
     if not np.array_equal(turn, np.eye(3)):
         facing, rising = _axis_name(turn[0]), _axis_name(turn[2])
         warnings += (f"the skeleton faces {facing} with {rising} up where X and Z were expected: turned",)
-    own, usual = _standing_axes({bone: turn @ at for bone, at in heads.items()}), _standing_axes(_heads_of(rig))
+    own, usual = (
+        _standing_axes({bone: turn @ at for bone, at in heads.items()}),
+        _standing_axes(dict(zip(rig.bone_names, rig.heads))),
+    )
     heading = np.degrees(np.arctan2(-own[0][0, 1], own[0][1, 1]))
     leans = [one[:, 2] - other[:, 2] for one, other in zip(own[1:], usual[1:])]
     least = min(map(np.linalg.norm, leans))
@@ -185,28 +190,31 @@ def turn_upright(mesh: SkinnedMesh, bone_joint: Mapping[str, int], rig: Rig) -> 
         warnings += (f"the skeleton is turned by {heading:.0f} degrees about the upright axis: turned back",)
     if np.array_equal(turn, np.eye(3)):
         return mesh
-    turned = np.eye(4)
-    turned[:3, :3] = turn
-    return replace(
-        mesh,
-        vertices=mesh.vertices @ turn.T,
-        joint_heads=mesh.joint_heads @ turn.T,
-        joint_tails=mesh.joint_tails @ turn.T,
-        joint_frames=None if mesh.joint_frames is None else turned @ mesh.joint_frames,
-        warnings=warnings,
+    transforms = np.zeros((len(mesh.joint_names), 3, 4))
+    transforms[:, :, :3] = turn
+    return with_joints_moved(replace(mesh, vertices=mesh.vertices @ turn.T, warnings=warnings), transforms)
+
+
+def with_joints_moved(mesh: SkinnedMesh, transforms: np.ndarray) -> SkinnedMesh:
+    """The mesh with its joints, but not its vertices, moved by transforms (j, 3, 4)."""
+    frames = mesh.joint_frames
+    if frames is not None:
+        frames = frames.copy()
+        frames[:, :3] = transforms[..., :3] @ frames[:, :3]
+        frames[:, :3, 3] += transforms[..., 3]
+    heads, tails = (
+        np.einsum("jab,jb->ja", transforms[..., :3], at) + transforms[..., 3]
+        for at in (mesh.joint_heads, mesh.joint_tails)
     )
-
-
-def _heads_of(rig: Rig) -> dict[str, np.ndarray]:
-    return dict(zip(rig.bone_names, rig.heads))
+    return replace(mesh, joint_heads=heads, joint_tails=tails, joint_frames=frames)
 
 
 def _standing_axes(heads: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """Of somebody whose joints are at (3,): columns forward, left and up (3, 3), where up is from between the feet to
     between the shoulders; and the same with the way up of the trunk, and of the legs."""
-    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in ("upperarm01", "upperleg01"))
-    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
     bones = "upperarm01", "upperleg01"
+    shoulders, hips = (sum(heads[f"{bone}.{side}"] for side in "LR") for bone in bones)
+    feet = sum(heads.get(f"foot.{side}", heads[f"upperleg01.{side}"] - [0, 0, 1]) for side in "LR")
     left = sum(heads[f"{bone}.L"] - heads[f"{bone}.R"] for bone in bones)
     ways_up = shoulders - feet, shoulders - hips, hips - feet
     return [_axes(left, up - left * (left @ up) / (left @ left)) for up in ways_up]

@@ -33,9 +33,8 @@ def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin check`."""
     parser = argparse.ArgumentParser(prog="physkin check", description=__doc__.split("`: ")[1])
     parser.add_argument("avatar", metavar="AVATAR", help="body: a GLB, glTF, VRM, FBX, OBJ, PLY or STL file")
-    add_options(
-        parser, "garment", "tucked", "own-clothes", "rig", "bones", "fit", "separate-limbs", separate_limbs=False
-    )
+    add_options(parser, "garment", "tucked", "own-clothes", "rig", "bones", "fit", "separate-limbs")
+    parser.set_defaults(separate_limbs=False)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="PNG", help="picture of four everyday poses, from the front and the back"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.rig.linear_blend_skinning import strongest_influence
 
 __all__ = ["thinned"]
 
@@ -23,9 +24,9 @@ def thinned(avatar: Avatar) -> Avatar:
     """
     if len(avatar.faces) <= MANY_FACES:
         return avatar
-    vertices, rows = avatar.vertices.astype(np.float64), np.arange(len(avatar.vertices))
+    vertices = avatar.vertices.astype(np.float64)
     cells = np.floor((vertices - vertices.min(axis=0)) / CELL).astype(np.int64)
-    keys = np.column_stack([cells, avatar.influence_bones[rows, avatar.influence_weights.argmax(axis=1)]])
+    keys = np.column_stack([cells, strongest_influence(avatar.influence_bones, avatar.influence_weights)])
     group = np.unique(np.ravel_multi_index(keys.T, keys.max(axis=0) + 1), return_inverse=True)[1]
     middle = np.stack([np.bincount(group, axis) for axis in vertices.T], axis=1) / np.bincount(group)[:, None]
     order = np.lexsort([np.linalg.norm(vertices - middle[group], axis=1), group])

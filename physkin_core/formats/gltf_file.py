@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 import numpy as np
@@ -16,12 +17,17 @@ from physkin_core.formats.fbx_file import FBX_SUFFIX, fbx_as_glb
 from physkin_core.formats.gltf_compression import DRACO, DracoMesh, draco_mesh, meshopt_extension, meshopt_view
 from physkin_core.formats.gltf_document import GltfEntry, parse_gltf
 
-__all__ = ["GltfFile"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+__all__ = ["TRANSFORM_PARTS", "GltfFile", "local_transforms", "node_transform_parts", "rotations_of"]
 
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 INDEX_TYPES = {5121: np.dtype("<u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 COMPONENT_TYPES = {5120: np.dtype("<i1"), 5122: np.dtype("<i2"), **INDEX_TYPES, 5126: np.dtype("<f4")}
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+TRANSFORM_PARTS = {"translation": (0.0, 0, 0), "rotation": (0.0, 0, 0, 1), "scale": (1.0, 1, 1)}
+"""Of a node, and what they are where it does not say."""
 SHORTEST_QUATERNION = 1e-6
 """A rotation's quaternion that is shorter was never set."""
 
@@ -128,25 +134,19 @@ class GltfFile:
 
     def _local_transform(self, number: int, lenient: bool) -> np.ndarray:
         """(4, 4) from the node to its parent."""
-        from scipy.spatial.transform import Rotation
-
-        node, local = self.nodes[number], np.eye(4)
+        node = self.nodes[number]
         try:
-            matrix, quaternion = node.numbers("matrix", 16), node.numbers("rotation", 4) or (0.0, 0.0, 0.0, 1.0)
-            scale, place = node.numbers("scale", 3) or (1, 1, 1), node.numbers("translation", 3) or (0, 0, 0)
+            matrix, parts = node.numbers("matrix", 16), node_transform_parts(node)
         except ContentError as error:
             if not lenient:
                 raise
             self.mended[number] = str(error)
-            return local
+            return np.eye(4)
         if matrix is not None:
             return np.array(matrix).reshape(4, 4).T
-        if np.linalg.norm(quaternion) < SHORTEST_QUATERNION:
-            self.mended[number] = f"{node.where}.rotation is {quaternion}, which turns by nothing"
-            quaternion = (0.0, 0.0, 0.0, 1.0)
-        local[:3, :3] = Rotation.from_quat(quaternion).as_matrix() * np.array(scale)
-        local[:3, 3] = place
-        return local
+        if np.linalg.norm(quaternion := parts["rotation"]) < SHORTEST_QUATERNION:
+            self.mended[number] = f"{node.where}.rotation is {quaternion.tolist()}, which turns by nothing"
+        return local_transforms(**{part: value[None] for part, value in parts.items()})[0]
 
     def _with_sparse(self, sparse: GltfEntry, data: np.ndarray) -> np.ndarray:
         """Data (N, components) with some of its elements replaced."""
@@ -249,3 +249,25 @@ def _numbers(data: np.ndarray, dtype: np.dtype, accessor: GltfEntry) -> np.ndarr
     if accessor.members.get("normalized"):
         return np.maximum(data.astype(np.float64) / np.iinfo(dtype).max, -1.0)
     return data.astype(np.int64)
+
+
+def node_transform_parts(node: GltfEntry) -> dict[str, np.ndarray]:
+    """Translation (3,), rotation (4,) and scale (3,) of a node, those that it leaves out as well. Raises ContentError
+    where they are not finite numbers."""
+    return {part: np.array(node.numbers(part, len(usual)) or usual) for part, usual in TRANSFORM_PARTS.items()}
+
+
+def rotations_of(quaternions: np.ndarray) -> Rotation:
+    """Of quaternions (T, 4) of any length; none of those of no length."""
+    from scipy.spatial.transform import Rotation
+
+    long = np.linalg.norm(quaternions, axis=1, keepdims=True) >= SHORTEST_QUATERNION
+    return Rotation.from_quat(np.where(long, quaternions, TRANSFORM_PARTS["rotation"]))
+
+
+def local_transforms(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(T, 4, 4) from a node to its parent, of its parts (T, 3 or 4)."""
+    transforms = np.tile(np.eye(4), (len(rotation), 1, 1))
+    transforms[:, :3, :3] = rotations_of(rotation).as_matrix() * scale[:, None]
+    transforms[:, :3, 3] = translation
+    return transforms

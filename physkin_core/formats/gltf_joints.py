@@ -1,12 +1,34 @@
-"""Which nodes of a glTF file are joints: those of its skins, and the humanoid bones of VRM and VRMA."""
+"""Which nodes of a glTF file are joints, of its skins or the humanoid bones of VRM and VRMA, and what hangs on what."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
 
 from physkin_core.file_reading import ContentError, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import GltfFile
 
-__all__ = ["humanoid_nodes", "skin_nodes"]
+__all__ = ["humanoid_nodes", "nearest_above", "skin_nodes", "with_nodes_above"]
+
+
+Value = TypeVar("Value")
+
+
+def with_nodes_above(file: GltfFile, nodes: Iterable[int]) -> list[int]:
+    """Nodes and all that they hang on, parents first."""
+    inside = set(nodes)
+    inside.update(int(file.node_parents[node]) for node in reversed(file.node_order) if node in inside)
+    return [node for node in file.node_order if node in inside]
+
+
+def nearest_above(file: GltfFile, values: Mapping[int, Value]) -> dict[int, Value]:
+    """By node the value of itself or of the nearest node above that has one, where there is one."""
+    found: dict[int, Value] = {}
+    for node in file.node_order:
+        if (value := values.get(node, found.get(int(file.node_parents[node])))) is not None:
+            found[node] = value
+    return found
 
 
 def skin_nodes(file: GltfFile, skin: GltfEntry) -> list[int]:

@@ -10,14 +10,13 @@ import re
 from array import array
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from physkin_core.file_reading import ContentError, shown, with_decimal_points
-from physkin_core.motion.mocap_files import Joint, Skeleton, numbers_of
-from physkin_core.motion.source_clip import MOST_JOINTS
+from physkin_core.file_reading import ContentError, numbers_of, shown, with_decimal_points
+from physkin_core.motion.source_clip import MOST_JOINTS, SourceClip, check_clip_size, posed_clip
 
 __all__ = ["read_bvh"]
 
@@ -38,37 +37,42 @@ class _Entry(NamedTuple):
     channels: list[tuple[int, str]]
 
 
-def read_bvh(text: str, *, name: str = "BVH") -> Skeleton:
-    """The skeleton of a text. The offset of a joint that has positions of its own is that of the first frame.
+def read_bvh(text: str, *, name: str = "BVH") -> SourceClip:
+    """The clip of a text. The offset of a joint that has positions of its own is that of the first frame.
 
-    name: in the warning that it says another number of frames than it has. Raises ContentError, with the line.
+    name: in the warning that it says another number of frames than it has. Raises ContentError, with the line, and for
+    a clip that is too long or too large.
     """
     lines = enumerate(text.split("\n"), 1)
     tree = _tree(lines)
     said, step, frames = _frames(lines, sum(len(entry.channels) for entry in tree))
     if said != str(len(frames)):
         log.warning("%s: it says that it has %s frames; the %d that it has are taken", name, shown(said), len(frames))
-    joints, column, along, lengths = [], 0, 0.0, 0.0
-    for name, parent, offset, channels in tree:
-        places = np.tile(offset, (len(frames), 1)) if any(kind == "POS" for _, kind in channels) else None
-        turns = []
-        for axis, kind in channels:
+    check_clip_size(len(frames), len(tree), 1 / step)
+    names, parents, offsets, _ = zip(*tree)
+    offsets, turns, places, column = np.array(offsets), [], {}, 0
+    for joint, entry in enumerate(tree):
+        if any(kind == "POS" for _, kind in entry.channels):
+            places[joint] = np.tile(offsets[joint], (len(frames), 1))
+        order, columns = "", []
+        for axis, kind in entry.channels:
             if kind == "POS":
-                places[:, axis] = frames[:, column]
+                places[joint][:, axis] = frames[:, column]
             elif kind == "ROT":
-                turns.append((axis, column))
+                order, columns = order + "XYZ"[axis], [*columns, column]
             column += 1
-        if places is not None and parent >= 0:
-            along += places[0] @ offset
-            lengths += np.linalg.norm(places[0]) * np.linalg.norm(offset)
-        angles = frames[:, [its for _, its in turns]]
-        joints.append(Joint(name, parent, np.array(offset), "".join("XYZ"[axis] for axis, _ in turns), angles, places))
-    added = along <= lengths / 2  # to the offsets: positions that replace these, as in most files, lie along them
-    for index, joint in enumerate(joints):
-        if joint.places is not None and joint.parent >= 0:
-            places = joint.places + joint.offset if added else joint.places
-            joints[index] = replace(joint, offset=places[0], places=places)
-    return Skeleton(tuple(joints), 1 / step)
+        turn = Rotation.from_euler(order, frames[:, columns], degrees=True) if order else Rotation.identity(len(frames))
+        turns.append(turn)
+    moving = [joint for joint in places if parents[joint] >= 0]
+    firsts = np.array([places[joint][0] for joint in moving]).reshape(-1, 3)
+    lengths = np.linalg.norm(firsts, axis=1) @ np.linalg.norm(offsets[moving], axis=1)
+    # Positions that replace offsets, as in most files, lie along them; others are added.
+    if (firsts * offsets[moving]).sum() <= lengths / 2:
+        for joint in moving:
+            places[joint] += offsets[joint]
+    for joint in moving:
+        offsets[joint] = places[joint][0]
+    return posed_clip(names, parents, offsets, turns, places, len(frames), 1 / step)
 
 
 def _tree(lines: Iterator[tuple[int, str]]) -> list[_Entry]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from physkin_core.file_reading import reading
+from physkin_core.file_reading import ContentError, read_text, reading
+from physkin_core.motion.landmark_files import has_landmarks
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.motion.pace import doubtful_pace
 from physkin_core.progress import Watch
@@ -19,12 +21,14 @@ from physkin_core.rig.rig import Rig
 if TYPE_CHECKING:
     from physkin_core.motion.source_clip import SourceClip
 
-__all__ = ["CLIP_SUFFIXES", "describe_clips", "load_clip", "split_clip_name"]
+__all__ = ["CLIP_SUFFIXES", "describe_clips", "is_clip", "load_clip"]
 
 log = logging.getLogger(__name__)
 
 GLTF_SUFFIXES = (".glb", ".gltf", ".vrm", ".vrma", ".fbx")
 CLIP_SUFFIXES = (".bvh", ".amc", ".npz", *GLTF_SUFFIXES)
+LARGEST_SKELETON = 1 << 22
+"""[bytes] of an ASF file: that of 1,000 bones has some hundred thousand."""
 
 
 def split_clip_name(path: str | Path) -> tuple[Path, str]:
@@ -32,6 +36,12 @@ def split_clip_name(path: str | Path) -> tuple[Path, str]:
     file, _, clip = str(path).rpartition("#")
     named = Path(file).suffix.lower() in GLTF_SUFFIXES and not Path(path).exists()
     return (Path(file), clip) if named else (Path(path), "")
+
+
+def is_clip(path: str | Path) -> bool:
+    """Whether a file is read as clips of any skeleton, by its suffix; an .npz may hold landmarks instead."""
+    file, _ = split_clip_name(path)
+    return file.suffix.lower() in CLIP_SUFFIXES and not has_landmarks(file)
 
 
 def load_clip(
@@ -73,32 +83,50 @@ def describe_clips(path: str | Path, rig: Rig) -> dict[str, str]:
     """How long the clips of a file are, by number and name, and a bones file of them; empty where there are
     none. Raises MotionError."""
     from physkin_core.formats.gltf_file import GltfFile
-    from physkin_core.motion.gltf_clip import gltf_clip_names
+    from physkin_core.motion.gltf_clip import gltf_clip_names, read_gltf_clip
     from physkin_core.rig.human_skeleton import find_human_skeleton
 
-    file, clip = Path(path), None
+    (file, _), rows = split_clip_name(path), {}
     with reading(f"motion file {path}", MotionError):
-        names, rows = [file.stem], {}
         if file.suffix.lower() in GLTF_SUFFIXES:
-            names = gltf_clip_names(GltfFile(file))
-        for number, name in enumerate(names, 1):
-            clip = _read(file, str(number) if len(names) > 1 else "", None)
+            gltf = GltfFile(file)
+            clips = zip(gltf_clip_names(gltf), gltf.document.entries("animations"))
+            readers = [(name, partial(read_gltf_clip, gltf, animation)) for name, animation in clips]
+        else:
+            readers = [(file.stem, partial(_read, file, "", None))]
+        bones = {}
+        for number, (name, read) in enumerate(readers, 1):
+            try:
+                clip = read()
+            except ContentError as error:  # as of a clip that moves a face alone
+                if len(readers) == 1:
+                    raise
+                rows[f"clip {number}"] = f"{name}: {error}"
+                continue
             seconds = clip.frame_count / clip.rate_hz
             rows[f"clip {number}"] = f"{name}: {seconds:.2f} s at {clip.rate_hz:.4g} Hz, {len(clip.names)} joints"
-        if clip is None:
-            return {}
-        human = find_human_skeleton(clip.names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
-        return rows | {"bones": human.bones_file(clip.names, rig)}
+            if not bones:
+                human = find_human_skeleton(clip.names, clip.parents, clip.rest, rig, humanoid=clip.humanoid)
+                bones = {"bones": human.bones_file(clip.names, rig)}
+    return rows | bones
 
 
 def _read(file: Path, name: str, skeleton: str | Path | None) -> SourceClip:
-    from physkin_core.motion.gltf_clip import read_gltf_clip
-    from physkin_core.motion.mocap import read_mocap
+    from physkin_core.formats.gltf_file import GltfFile
+    from physkin_core.motion.amc_file import read_amc
+    from physkin_core.motion.bvh_file import read_bvh
+    from physkin_core.motion.gltf_clip import read_gltf_clip, the_clip
     from physkin_core.motion.smpl_clip import read_smpl_clip
 
     match file.suffix.lower():
-        case ".bvh" | ".amc":
-            return read_mocap(file, skeleton=skeleton)
+        case ".bvh":
+            return read_bvh(read_text(file), name=str(file))
+        case ".amc":
+            asf = Path(skeleton) if skeleton else file.with_name(f"{file.stem.split('_')[0]}.asf")
+            with reading(f"skeleton {asf}", MotionError):
+                bones = read_text(asf, most=LARGEST_SKELETON)
+            return read_amc(read_text(file), bones)
         case ".npz":
             return read_smpl_clip(file)
-    return read_gltf_clip(file, clip=name)
+    gltf = GltfFile(file)
+    return read_gltf_clip(gltf, the_clip(gltf, name))

@@ -23,7 +23,7 @@ from physkin_core.motion.retargeting import leg_length, on_floor, retarget
 from physkin_core.motion.source_clip import RATE_HZ, SourceClip
 from physkin_core.progress import Watch
 from physkin_core.rig.human_skeleton import find_human_skeleton
-from physkin_core.rig.rig import Rig
+from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["find_joints", "retarget_clip"]
 
@@ -186,4 +186,4 @@ def find_joints(clip: SourceClip) -> tuple[dict[str, int], tuple[str, ...]]:
 
 def _branching(clip: SourceClip, first: int, second: int) -> int:
     """The last joint that carries both."""
-    return max(set(clip.ancestors(first)) & set(clip.ancestors(second)))
+    return max(set(ancestors(clip.parents, first)) & set(ancestors(clip.parents, second)))

@@ -7,31 +7,34 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from physkin_core.avatar.gltf_skeleton import bind_worlds, read_skins
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_document import GltfEntry
-from physkin_core.formats.gltf_file import GltfFile
-from physkin_core.formats.gltf_joints import humanoid_nodes, skin_nodes
+from physkin_core.formats.gltf_file import (
+    TRANSFORM_PARTS,
+    GltfFile,
+    local_transforms,
+    node_transform_parts,
+    rotations_of,
+)
+from physkin_core.formats.gltf_joints import humanoid_nodes, with_nodes_above
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
-__all__ = ["gltf_clip_names", "read_gltf_clip"]
+__all__ = ["gltf_clip_names", "read_gltf_clip", "the_clip"]
 
 log = logging.getLogger(__name__)
 
 SLOWEST_HZ = 24.0
 """Clips with fewer keys a second are sampled at this rate: between keys far apart, joints do not turn evenly."""
-PARTS = {"translation": (0.0, 0, 0), "rotation": (0.0, 0, 0, 1), "scale": (1.0, 1, 1)}
-"""Of a node's transform, and what they are where the node does not say."""
 VALUES_A_KEY = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}
 ROUNDING = 1e-4
 """[s] of times in single precision: a frame has the key that is so near."""
 BLOCK = 1024
 """Frames posed together, which bounds the memory."""
-SQUARE_TURNS = Rotation.create_group("O").as_matrix()
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,8 @@ class _Channel:
             return (2 * u**3 - 3 * u**2 + 1) * first[:, 1] + (3 * u**2 - 2 * u**3) * second[:, 1] + step * slopes
         if first.shape[2] == 3:
             return first[:, 0] + u * (second - first)[:, 0]
-        turn = _rotation(first[:, 0])
-        return (turn * Rotation.from_rotvec(u * (turn.inv() * _rotation(second[:, 0])).as_rotvec())).as_quat()
+        turn = rotations_of(first[:, 0])
+        return (turn * Rotation.from_rotvec(u * (turn.inv() * rotations_of(second[:, 0])).as_rotvec())).as_quat()
 
 
 def gltf_clip_names(file: GltfFile) -> list[str]:
@@ -65,29 +68,24 @@ def gltf_clip_names(file: GltfFile) -> list[str]:
     return [clip.text("name") or str(number) for number, clip in enumerate(file.document.entries("animations"), 1)]
 
 
-def read_gltf_clip(path: Path, *, clip: str = "") -> SourceClip:
+def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     """Read a clip of a glTF, VRM, VRMA or FBX file, sampled at the rate of its keys, `SLOWEST_HZ` to `RATE_HZ`.
 
-    clip: its name, or its number from 1; empty for the first, with a warning where there are others. Joints are those
-    of skins and of the humanoid, or what moves where there are none, and all that they hang on. At rest they are in the
-    skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError and OSError.
+    Joints are those of skins and of the humanoid, or what moves where there are none, and all that they hang on. At
+    rest they are in the skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError.
     """
-    file = GltfFile(path)
-    channels = _channels(file, _chosen(file, clip, path))
-    humanoid, skins = humanoid_nodes(file) or {}, file.document.entries("skins")
-    joints = set(humanoid.values()).union(*(skin_nodes(file, skin) for skin in skins)) or set(channels)
-    for node in reversed(file.node_order):
-        if node in joints and file.node_parents[node] >= 0:
-            joints.add(int(file.node_parents[node]))
-    nodes = [node for node in file.node_order if node in joints]
+    channels = _channels(file, animation)
+    humanoid, skins = humanoid_nodes(file) or {}, read_skins(file, range(file.document.count("skins")))
+    joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or set(channels)
+    nodes = with_nodes_above(file, joints)
     number = {node: joint for joint, node in enumerate(nodes)}
     times = [channel.times for its in channels.values() for channel in its.values()]
     start, end = min(each[0] for each in times), max(each[-1] for each in times)
-    step = np.median(np.concatenate([np.diff(each) for each in times] or [[0.0]]))
-    rate_hz = float(np.clip(1 / np.maximum(step, 1e-6), SLOWEST_HZ, RATE_HZ))
+    steps = np.concatenate([np.diff(each) for each in times])
+    rate_hz = float(np.clip(1 / np.maximum(np.median(steps), 1e-6), SLOWEST_HZ, RATE_HZ)) if len(steps) else SLOWEST_HZ
     count = 1 + round(float(end - start) * rate_hz)
     check_clip_size(count, len(nodes), rate_hz)
-    bind = _bind_pose(file, nodes, skins)
+    bind = bind_worlds(file, skins)[nodes]
     undone = np.linalg.pinv(bind[:, :3, :3])
     quaternions, places = np.empty((count, len(nodes), 4)), np.empty((count, len(nodes), 3))
     for frames in np.array_split(np.arange(count), -(-count // BLOCK)):
@@ -105,25 +103,26 @@ def read_gltf_clip(path: Path, *, clip: str = "") -> SourceClip:
     return SourceClip(names, parents, bind[:, :3, 3], quaternions, places, rate_hz, by_bone)
 
 
-def _chosen(file: GltfFile, clip: str, path: Path) -> GltfEntry:
+def the_clip(file: GltfFile, clip: str) -> GltfEntry:
+    """The clip of a name or a number from 1; empty for the first, with a warning where there are others. Raises
+    ContentError."""
     names = gltf_clip_names(file)
     if not names:
         raise ContentError("it has no animation clip; export it with one, or choose another motion")
     if clip and clip not in names and clip not in map(str, range(1, len(names) + 1)):
         raise ContentError(f"it has no clip {shown(clip)}; allowed are {listed(names)}, or 1 to {len(names)}")
     if not clip and len(names) > 1:
-        log.warning(
-            "%s: the first of %d clips is taken: %s; another: #NAME after the file", path, len(names), listed(names)
-        )
+        said = "%s: the first of %d clips is taken: %s; another: #NAME after the file"
+        log.warning(said, file.path, len(names), listed(names))
     return file.document.item("animations", names.index(clip) if clip in names else int(clip or 1) - 1)
 
 
 def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Channel]]:
-    """What moves, by node and by what of it: one of `PARTS`."""
+    """What moves, by node and by what of it: one of `TRANSFORM_PARTS`."""
     found, keys = {}, 0
     for channel in animation.entries("channels"):
         node, part = channel.entry("target").index("node"), channel.entry("target").text("path")
-        if node is None or part not in PARTS:  # weights of morphs, and what extensions point at
+        if node is None or part not in TRANSFORM_PARTS:  # weights of morphs, and what extensions point at
             continue
         file.document.item("nodes", node)
         sampler = animation.item("samplers", channel.integer("sampler"))
@@ -134,7 +133,7 @@ def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Chan
         if keys > MOST_PLACES:
             raise ContentError(f"{animation.where} has more than {MOST_PLACES} keys; thin them or cut it")
         times, values = (file.accessor(sampler.integer(key)).astype(np.float64) for key in ("input", "output"))
-        shape = (len(times), a_key, len(PARTS[part]))
+        shape = (len(times), a_key, len(TRANSFORM_PARTS[part]))
         rising = times.shape[1] == 1 and (np.diff(times[:, 0]) >= 0).all()
         if not rising or values.size != np.prod(shape) or not np.isfinite(values).all() or not np.isfinite(times).all():
             raise ContentError(f"{sampler.where} needs rising times and {shown(shape)} finite values; export it again")
@@ -146,46 +145,8 @@ def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Chan
 
 def _posed(node: GltfEntry, channels: dict[str, _Channel], seconds: np.ndarray) -> np.ndarray:
     """(T, 4, 4) from a node to its parent at times (T,)."""
-    matrix, local = node.numbers("matrix", 16), np.tile(np.eye(4), (len(seconds), 1, 1))
+    matrix = node.numbers("matrix", 16)
     if matrix is not None:
-        return local @ np.reshape(matrix, (4, 4)).T
-    still = {part: np.array([node.numbers(part, len(usual)) or usual]) for part, usual in PARTS.items()}
-    moved = still | {part: channel.at(seconds) for part, channel in channels.items()}
-    local[:, :3, :3] = _rotation(moved["rotation"]).as_matrix() * moved["scale"][:, None]
-    local[:, :3, 3] = moved["translation"]
-    return local
-
-
-def _rotation(quaternions: np.ndarray) -> Rotation:
-    """Of quaternions (K, 4) of any length; none of those of no length."""
-    long = (quaternions**2).sum(axis=1, keepdims=True) > 1e-12
-    return Rotation.from_quat(np.where(long, quaternions, PARTS["rotation"]))
-
-
-def _bind_pose(file: GltfFile, nodes: list[int], skins: list[GltfEntry]) -> np.ndarray:
-    """(J, 4, 4) from each joint at rest to the scene. What no skin names lies on its parent as its node does."""
-    bind: dict[int, np.ndarray] = {}
-    for skin in skins:
-        if "inverseBindMatrices" in skin:
-            named, stored = skin_nodes(file, skin), file.accessor(skin.integer("inverseBindMatrices"))
-            if len(stored) < len(named) or stored.shape[1] != 16 or not np.isfinite(stored).all():
-                raise ContentError(f"{skin.where} needs a finite inverse bind matrix of 16 numbers for each joint")
-            inverse = stored[: len(named)].reshape(-1, 4, 4).transpose(0, 2, 1)
-            to_scene = _square(file.node_worlds[named] @ inverse)
-            bind = dict(zip(named, to_scene @ np.linalg.pinv(inverse))) | bind
-    for node in nodes:
-        if node not in bind:
-            local = (
-                np.linalg.pinv(file.node_worlds[parent]) if (parent := int(file.node_parents[node])) in bind else None
-            )
-            bind[node] = file.node_worlds[node] if local is None else bind[parent] @ local @ file.node_worlds[node]
-    return np.stack([bind[node] for node in nodes])
-
-
-def _square(to_scene: np.ndarray) -> np.ndarray:
-    """(4, 4) from a skin's mesh to the scene, by right angles, as axes differ, and one scale. to_scene: what each joint
-    (k, 4, 4) makes of it, which differs where nodes are not in the bind pose."""
-    frame = np.eye(4)
-    mean, size = to_scene[:, :3, :3].mean(axis=0), np.cbrt(np.median(np.abs(np.linalg.det(to_scene[:, :3, :3]))))
-    frame[:3, :3] = max(SQUARE_TURNS, key=lambda turn: float((turn * mean).sum())) * (size or 1.0)
-    return frame
+        return np.tile(np.reshape(matrix, (4, 4)).T, (len(seconds), 1, 1))
+    resting = {part: np.tile(value, (len(seconds), 1)) for part, value in node_transform_parts(node).items()}
+    return local_transforms(**resting | {part: channel.at(seconds) for part, channel in channels.items()})

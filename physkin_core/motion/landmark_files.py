@@ -5,17 +5,20 @@ Dimensions: `T` frames, `K` landmarks.
 
 from __future__ import annotations
 
+import csv
 import io
 import logging
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
-from physkin_core.file_reading import ContentError, listed, read_bytes, read_json, reading, shown
+from physkin_core.file_reading import ContentError, listed, read_bytes, read_json, read_text, reading, shown
+from physkin_core.formats.npz_file import read_npz
 from physkin_core.motion.landmarks import LANDMARK_SETS, LandmarkReader
 from physkin_core.motion.motion import MOST_FRAMES, Motion, MotionError
 
@@ -26,6 +29,7 @@ log = logging.getLogger(__name__)
 LANDMARK_SUFFIXES = (".csv", ".json", ".npz")
 LARGEST = 1 << 26  # [bytes] of a file, and of what it unpacks to
 USUAL_HZ = 30.0  # where a file does not say
+MOST_LANDMARKS = 1000  # a face's 478 among them
 LONGEST_STEP, PAUSES = 1.0, 4  # [s] between frames; times as long as without pauses
 LONGEST_GAP = 0.5  # [s] over which a lost landmark moves in a straight line
 LEAST_CONFIDENCE = 0.3
@@ -42,9 +46,9 @@ def has_landmarks(path: Path) -> bool:
     if kind != ".npz":
         return kind in LANDMARK_SUFFIXES
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
             return "points.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
+    except (OSError, ContentError, zipfile.BadZipFile):
         return False
 
 
@@ -87,15 +91,18 @@ def load_landmarks(
         read = {".csv": _csv, ".json": _json, ".npz": _npz}.get(path.suffix.lower())
         if read is None:
             raise ContentError("expected .csv, .json or .npz")
-        clip = read(read_bytes(path, most=LARGEST))
+        clip = read(path)
         points = np.asarray(clip["points"], dtype=np.float64)
+        _check_count(points.shape[1] if points.ndim > 1 else 0)
         if points.ndim != 3 or points.shape[2] not in (3, 4) or not 0 < len(points) <= MOST_FRAMES:
             raise ContentError(
                 f"its points have shape {points.shape}; expected (T, K, 3), or 4 with confidence; where depth is "
                 "missing, take world landmarks, or lift them"
             )
-        confidence = points[:, :, 3] if points.shape[2] == 4 else np.asarray(clip.get("confidence", np.inf))
-        points = np.where((confidence < LEAST_CONFIDENCE)[..., None], np.nan, points[:, :, :3])
+        confidence = points[:, :, 3] if points.shape[2] == 4 else clip.get("confidence", np.ones(points.shape[:2]))
+        if np.shape(confidence) != points.shape[:2]:
+            raise ContentError(f"its confidence has shape {np.shape(confidence)}; expected {points.shape[:2]}")
+        points = np.where((np.asarray(confidence) < LEAST_CONFIDENCE)[..., None], np.nan, points[:, :, :3])
         names = clip.get("names") if names is None else names
         if names is None:
             sets = [each for each, known in LANDMARK_SETS.items() if len(known["names"].split()) == points.shape[1]]
@@ -126,6 +133,8 @@ def load_landmarks(
 
 def _times(clip: Mapping[str, Any], count: int, rate_hz: float | None) -> np.ndarray:
     """(T,) [s] of frames."""
+    if rate_hz is not None and not 0 < rate_hz < np.inf:
+        raise ContentError(f"rate_hz must be positive and finite, got {rate_hz}")
     rate_hz = rate_hz or clip.get("rate_hz")
     if not rate_hz and clip.get("times") is None:
         log.warning("landmarks do not say their rate: %g frames a second are assumed", USUAL_HZ)
@@ -158,47 +167,60 @@ def _bridged(points: np.ndarray, times: np.ndarray, even: np.ndarray) -> np.ndar
     return moved
 
 
-def _csv(content: bytes) -> dict[str, Any]:
-    text = content.decode("utf-8-sig")
-    header, _, rows = text.partition("\n")
-    delimiter = max(",;\t", key=header.count)
-    if delimiter != ",":
-        rows = rows.replace(",", ".")
-    titles = [title.strip(' "\r') for title in header.split(delimiter)]
-    starts = [title[:-1] for title in titles if title[-2:].lower() in ("_x", ".x", " x")]
-    if lacking := [s for s in starts if not {f"{s}y".lower(), f"{s}z".lower()} <= {t.lower() for t in titles}]:
-        raise ContentError(f"{listed([start[:-1] for start in lacking])} lack columns for y and z")
-    if not starts or not rows.strip():
+def _check_count(count: int) -> None:
+    if count > MOST_LANDMARKS:
+        raise ContentError(f"it has {count} landmarks, allowed are {MOST_LANDMARKS}")
+
+
+def _csv(path: Path) -> dict[str, Any]:
+    lines = [line for line in read_text(path, most=LARGEST).split("\n") if line.strip()] or [""]
+    delimiter = max(",;\t", key=lines[0].count)
+    titles, *rows = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    titles = [title.strip() for title in titles] or [""]
+    column = {title.lower(): number for number, title in enumerate(titles)}
+    names = [title[:-2] for title in titles if title[-2:].lower() in ("_x", ".x", " x")]
+    starts = [title[:-1].lower() for title in titles if title[-2:].lower() in ("_x", ".x", " x")]
+    if lacking := [name for name, start in zip(names, starts) if not {f"{start}y", f"{start}z"} <= column.keys()]:
+        raise ContentError(f"{listed(lacking)} lack columns for y and z")
+    if not names or not rows:
         raise ContentError(f"it has columns {listed(titles)}; expected nose_x, nose_y, nose_z, and so on, and rows")
-    for number, row in enumerate(rows.splitlines(), start=2):
-        if row.strip() and (cells := 1 + row.count(delimiter)) != len(titles):
-            raise ContentError(f"row {number} has {cells} values, its header {len(titles)}")
-    table = np.genfromtxt(io.StringIO(rows), delimiter=delimiter, ndmin=2, comments=None)
-    column = dict(zip((title.lower() for title in titles), table.T))
-    points = np.array([[column[f"{start}{axis}".lower()] for axis in "xyz"] for start in starts])
-    clip = {"names": [start[:-1] for start in starts], "points": points.transpose(2, 0, 1)}
-    words = [[start.lower() + word for word in CONFIDENCE if start.lower() + word in column] for start in starts]
-    clip["confidence"] = np.array([column[each[0]] if each else np.ones(len(table)) for each in words]).T
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(titles):
+            raise ContentError(f"row {number} has {len(row)} values, its header {len(titles)}")
+    table = np.array([[_number(cell) for cell in row] for row in rows])
+    trusted = ((column[start + word] for word in CONFIDENCE if start + word in column) for start in starts)
+    confidence = [np.ones(len(rows)) if k is None else table[:, k] for k in (next(each, None) for each in trusted)]
+    points = np.stack([table[:, [column[start + axis] for axis in "xyz"]] for start in starts], axis=1)
+    clip = {"names": names, "points": points, "confidence": np.stack(confidence, axis=1)}
     if title := next((title for title in TIMES if title in column), None):
-        clip["times"] = column[title] * TIMES[title]
+        clip["times"] = table[:, column[title]] * TIMES[title]
     return clip
 
 
-def _json(content: bytes) -> dict[str, Any]:
-    clip = read_json(content)
+def _number(cell: str) -> float:
+    """NaN for what is none, as for a lost point."""
+    with suppress(ValueError):
+        return float(cell.replace(",", "."))
+    return np.nan
+
+
+def _json(path: Path) -> dict[str, Any]:
+    clip = read_json(read_bytes(path, most=LARGEST))
     clip = dict(clip) if isinstance(clip, dict) else {"frames": clip}
     if not isinstance(clip.get("frames"), list) or not clip["frames"]:
         raise ContentError("it has no list of frames")
     frames = [each if isinstance(each, dict) and "points" in each else {"points": each} for each in clip["frames"]]
     if all("time" in frame for frame in frames):
         clip["times"] = [float(frame["time"]) for frame in frames]
-    points = [frame["points"] for frame in frames]
-    if all(isinstance(each, dict) for each in points):
-        clip["names"] = list(dict.fromkeys(name for each in points for name in each))
-        points = [[each.get(name) for name in clip["names"]] for each in points]
-    clip["points"] = [[_point(point) for point in frame or ()] for frame in points]
-    if len({len(frame) for frame in points}) > 1:
+    points = [frame["points"] or [] for frame in frames]  # none where nobody is seen
+    if all(isinstance(each, dict) for each in points if each):
+        clip["names"] = list(dict.fromkeys(name for each in points for name in each)) or clip.get("names")
+        _check_count(len(clip["names"] or ()))
+        points = [[each.get(name) for name in clip["names"]] if each else [] for each in points]
+    count = max(map(len, points))
+    if any(len(frame) not in (0, count) for frame in points):
         raise ContentError("its frames have different numbers of points; write null for one that is lost")
+    clip["points"] = [[_point(point) for point in frame or [None] * count] for frame in points]
     return clip
 
 
@@ -213,12 +235,8 @@ def _point(value: Any) -> list[float]:
     return [np.nan if each is None else float(each) for each in (*value, 1.0)[:4]]
 
 
-def _npz(content: bytes) -> dict[str, Any]:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if (size := sum(each.file_size for each in archive.infolist())) > LARGEST:
-            raise ContentError(f"it unpacks to {size} bytes, allowed are {LARGEST}")
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        if "points" not in arrays:
-            raise ContentError(f"it has no array `points`, but {listed(list(arrays))}")
-        clip = {name: arrays[name] for name in arrays}
-    return clip | {name: clip[name].tolist() for name in ("names", "rate_hz", "axes") if name in clip}
+def _npz(path: Path) -> dict[str, Any]:
+    clip: dict[str, Any] = read_npz(path, most=LARGEST)
+    if "points" not in clip:
+        raise ContentError(f"it has no array `points`, but {listed(list(clip))}")
+    return clip | {name: np.squeeze(clip[name]).tolist() for name in ("names", "rate_hz", "axes") if name in clip}

@@ -16,7 +16,7 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.extras import install_command
 from physkin_core.file_reading import ContentError, read_bytes, reading, shown
-from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip, split_clip_name
+from physkin_core.motion.clip_files import CLIP_SUFFIXES, is_clip, load_clip
 from physkin_core.motion.landmark_files import LANDMARK_SUFFIXES, has_landmarks, load_landmarks
 from physkin_core.motion.motion import Motion, MotionError
 from physkin_core.progress import Watch
@@ -75,7 +75,7 @@ def load_motion(
     path = Path(path_or_name)
     if has_landmarks(path):
         return load_landmarks(path, rate_hz=source_rate_hz)
-    if split_clip_name(path)[0].suffix.lower() in CLIP_SUFFIXES:
+    if is_clip(path):
         return load_clip(path, load_body_model().rig, bones=bones, source_rate_hz=source_rate_hz, watch=watch)[0]
     if source_rate_hz is not None:
         raise MotionError(

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError, listed
 from physkin_core.formats.npz_file import read_npz
-from physkin_core.motion.source_clip import SourceClip, posed_clip
+from physkin_core.motion.source_clip import SourceClip, check_clip_size, posed_clip
 
 __all__ = ["read_smpl_clip"]
 
@@ -61,9 +61,11 @@ def read_smpl_clip(path: Path) -> SourceClip:
     turns = np.concatenate(parts, axis=1)[:, :width].astype(np.float64)
     if count == 0 or places.shape != (count, 3) or not (np.isfinite(turns).all() and np.isfinite(places).all()):
         raise ContentError(f"its rotations and places, {count} and {places.shape}, must be as many, some, and finite")
-    rate_hz = float(rate) if rate is not None and rate.size == 1 and 0 < rate < np.inf else 0.0
+    rate_hz = float(rate.item()) if rate is not None and rate.size == 1 and 0 < rate < np.inf else 0.0
     if not rate_hz:
+        rate_hz = USUAL_HZ
         log.warning("%s states no rate: %g Hz is assumed; source_rate_hz (--source-rate) sets it", path, USUAL_HZ)
+    check_clip_size(count, len(JOINTS), rate_hz)
     on_parent = [Rotation.from_rotvec(turn) for turn in turns.reshape(count, -1, 3).transpose(1, 0, 2)]
     upright = float(on_parent[0].apply([0.0, 1.0, 0.0])[:, 1].mean())
     to_y_up = Rotation.from_euler("x", -90 if abs(upright) < UPRIGHT else 90 - 90 * np.sign(upright), degrees=True)
@@ -73,7 +75,7 @@ def read_smpl_clip(path: Path) -> SourceClip:
         )
     on_parent[0], places = to_y_up * on_parent[0], to_y_up.apply(places)
     offsets = np.array([_offset(name) for name in JOINTS])
-    return posed_clip(JOINTS, PARENTS, offsets, on_parent, {0: places}, count, rate_hz or USUAL_HZ)
+    return posed_clip(JOINTS, PARENTS, offsets, on_parent, {0: places}, count, rate_hz)
 
 
 def _offset(joint: str) -> tuple[float, float, float]:

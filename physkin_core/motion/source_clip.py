@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from physkin_core.file_reading import ContentError
 from physkin_core.motion.motion import MOST_FRAMES
-from physkin_core.rig.rig import ancestors
 
 __all__ = ["MOST_JOINTS", "RATE_HZ", "SourceClip", "check_clip_size", "posed_clip"]
 
@@ -58,10 +57,6 @@ class SourceClip:
         """Rotations (T) of a joint from rest, in the world."""
         return Rotation.from_quat(self.rotations[:, joint])
 
-    def ancestors(self, joint: int) -> list[int]:
-        """Indices from the root to the joint itself."""
-        return ancestors(self.parents, joint)[::-1]
-
     def at(self, frames: slice) -> SourceClip:
         """With some of the frames only; the rate follows the step between them."""
         rate_hz = self.rate_hz / (frames.step or 1)
@@ -93,9 +88,8 @@ def posed_clip(
     """The clip of joints that rest without rotation, by how each turns (T) on its parent.
 
     offsets: (J, 3) from the parent at rest. places: by joint (T, 3) from the parent, where that moves, and from the
-    origin for roots. Raises ContentError for a clip that is too long or too large.
+    origin for roots.
     """
-    check_clip_size(frame_count, len(names), rate_hz)
     rest, quaternions = np.zeros((len(names), 3)), np.empty((frame_count, len(names), 4))
     heads = np.empty((frame_count, len(names), 3))
     for joint, (parent, turn) in enumerate(zip(parents, turns)):

@@ -77,8 +77,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "separate-limbs": {
         "action": argparse.BooleanOptionalAction,
+        "default": True,
         "help": "whether arms and legs that a motion puts into the trunk or into each other are moved out (default: "
-        "{apart})",
+        "%(default)s)",
     },
     "sway": {
         "type": float,
@@ -97,16 +98,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
 """Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
 
 
-def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT, separate_limbs: bool = True) -> None:
-    """Add some of `OPTIONS`. worn: what help says is worn where no garment is named. separate_limbs: the default of
-    that option."""
-    apart = "yes" if separate_limbs else "no"
+def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:
+    """Add some of `OPTIONS`. worn: what help says is worn where no garment is named."""
     for name in names:
         flags = ("-g", "--garment") if name == "garment" else (f"--{name}",)
-        said = OPTIONS[name]["help"].replace("{worn}", worn).replace("{apart}", apart)
-        parser.add_argument(*flags, **OPTIONS[name] | {"help": said})
-    if "separate-limbs" in names:
-        parser.set_defaults(separate_limbs=separate_limbs)
+        parser.add_argument(*flags, **OPTIONS[name] | {"help": OPTIONS[name]["help"].replace("{worn}", worn)})
 
 
 def add_avatar_options(parser: argparse.ArgumentParser, made_on: bool = False) -> None:

@@ -102,15 +102,11 @@ class HumanSkeleton:
     def mirrored(self) -> HumanSkeleton:
         """The same with left and right exchanged, which is then in no doubt."""
         other = {"L": "R", "R": "L"}
-
-        def swapped(table: Mapping[str, float]) -> dict:
-            split = {bone: bone.split(".") for bone in table}
-            return {
-                ".".join([name, *(other[side] for side in sides)]): table[bone]
-                for bone, (name, *sides) in split.items()
-            }
-
-        return replace(self, joints=swapped(self.joints), costs=swapped(self.costs), doubt="")
+        joints, costs = (
+            {bone[:-1] + other.get(bone[-1], bone[-1]): value for bone, value in table.items()}
+            for table in (self.joints, self.costs)
+        )
+        return replace(self, joints=joints, costs=costs, doubt="")
 
     def remarks(self, names: Sequence[str]) -> tuple[str, ...]:
         """What was assumed, for the user to read: joints that were taken for their place, and the doubt."""

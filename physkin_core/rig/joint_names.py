@@ -13,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 __all__ = ["JointName", "plain_name", "read_name", "without_common_prefix"]
@@ -39,7 +39,7 @@ class JointName:
     limb: str = ""
 
 
-@cache
+@lru_cache(1 << 14)
 def read_name(name: str) -> JointName:
     """What a joint's name says; nothing of names that say nothing."""
     known = _bones_by_name()

@@ -14,6 +14,7 @@ __all__ = [
     "dense_weights",
     "joined_influences",
     "linear_blend_skinning",
+    "strongest_influence",
     "strongest_influences",
 ]
 
@@ -49,6 +50,11 @@ def dense_weights(influences: np.ndarray, influence_weights: np.ndarray, count: 
     dense = np.zeros((len(influences), count))
     np.add.at(dense, (np.arange(len(dense))[:, None], influences), influence_weights)
     return dense
+
+
+def strongest_influence(influences: np.ndarray, influence_weights: np.ndarray) -> np.ndarray:
+    """(V,) the transform that each vertex hangs on most. influence_*: (V, K)."""
+    return influences[np.arange(len(influences)), influence_weights.argmax(axis=1)]
 
 
 def strongest_influences(dense: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -117,7 +117,8 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--world-frame", metavar="FRAME", default="world", help="upright frame of TF (default %(default)s)"
     )
-    add_options(parser, "sway", "fit", "separate-limbs", separate_limbs=False)
+    add_options(parser, "sway", "fit", "separate-limbs")
+    parser.set_defaults(separate_limbs=False)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="bag to write: a folder, .mcap or .db3; of many bags, a folder"
     )

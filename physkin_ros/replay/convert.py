@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from physkin_core import Motion, load_body_model, load_motion
-from physkin_core.motion.clip_files import CLIP_SUFFIXES, load_clip, split_clip_name
+from physkin_core.motion.clip_files import is_clip, load_clip
 from physkin_core.outfit.outfit_options import add_options, motion_settings
 from physkin_core.progress import progress_line
 from physkin_ros.replay.bags import BagWriter, write_motion
@@ -50,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _motion(options: argparse.Namespace) -> Motion:
     settings = motion_settings(options)
-    if split_clip_name(options.motion)[0].suffix.lower() not in CLIP_SUFFIXES:
+    if not is_clip(options.motion):
         return load_motion(options.motion, **settings)
     settings["skeleton"] = options.skeleton
     watch = progress_line(f"reading {options.motion}")

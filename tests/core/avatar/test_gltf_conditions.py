@@ -1,6 +1,8 @@
 """What users' glTF files are like: several figures, levels of detail, parts without a skin, numbers slightly off,
 tails, hair, half bodies. The person comes out as from a plain file."""
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -15,6 +17,7 @@ from gltf_person import (
 )
 from scipy.spatial import cKDTree
 
+from physkin_core import load_avatar
 from physkin_core.avatar.avatar import AvatarError
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # AvatarWarning, which `Avatar.warnings` keeps
@@ -240,3 +243,20 @@ def test_half_a_body_is_named(tmp_path):
     (warning,) = load_document(tmp_path, person_document(faces=upper)).warnings
     legs = "the left thigh, the left shin, the right thigh, the right shin"
     assert warning == f"the body has no skin on {legs}: clothes there have nothing to lie on"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("kind", ["many skins of one joint", "many joints far down a chain"])
+def test_hostile_skeletons_take_no_time(tmp_path, kind):
+    """Time grows with the file, not with its square, which would be minutes here."""
+    count, deep = 120_000, 2_000
+    if "skins" in kind:
+        nodes, skins = [{}], [{"joints": [0]}] * count
+    else:
+        leaves = list(range(count, count + deep))
+        nodes = [*({"children": [node + 1]} for node in range(count - 1)), {"children": leaves}, *[{}] * deep]
+        skins = [{"joints": leaves}]
+    path = tmp_path / "a.gltf"
+    path.write_text(json.dumps({"asset": {"version": "2.0"}, "nodes": nodes, "skins": skins}))
+    with pytest.raises(AvatarError, match="no faces on its skeleton|has 122000 bones, allowed are 2048"):
+        load_avatar(path, RIG)

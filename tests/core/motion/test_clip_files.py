@@ -71,6 +71,33 @@ def test_few_keys_are_turned_evenly_between(tmp_path):
     np.testing.assert_allclose(sparse.positions, dense.positions, atol=0.01)
 
 
+def test_a_pose_is_a_clip_of_one_frame(tmp_path, expected):
+    """Of a single key for each joint, as posing tools write it."""
+    motion = load_motion(write_gltf_clips(tmp_path / "a.glb", JOINTS, {"Stand": FRAMES[:1]}))
+    assert motion.frame_count == 1
+    np.testing.assert_allclose(motion.positions[0], expected.positions[0], atol=0.02)
+
+
+def test_info_tells_of_clips_that_cannot_be_worn(tmp_path, capsys):
+    """A clip of a face stands among the others, and none is taken for one of that name."""
+
+    def change(document):
+        for channel in document["animations"][1]["channels"]:
+            channel["target"] = {"node": 0, "path": "weights"}
+
+    path = write_gltf_clips(tmp_path / "a.glb", JOINTS, {"3": FRAMES, "Smile": FRAMES, "1": FRAMES[:2]}, change=change)
+    assert cli.main(["info", f"{path}#3"]) == 0
+    first, second, third = capsys.readouterr().out.splitlines()[:3]
+    assert f"3: {(len(FRAMES) - 1) / 60 + 1 / 60:.2f} s" in first and "1: 0.03 s" in third
+    assert "Smile: animations[1] moves no node" in second
+
+
+def test_a_rate_in_a_list(tmp_path):
+    """Some scripts save it so."""
+    np.savez(tmp_path / "a.npz", **smpl_arrays(FRAMES) | {"mocap_framerate": [60.0]})
+    assert load_motion(tmp_path / "a.npz").frame_count == len(FRAMES)
+
+
 def test_a_clip_is_chosen_by_name_or_number(tmp_path, caplog, expected):
     """The first one otherwise, with a word about the others."""
     path = write_gltf_clips(tmp_path / "me.glb", JOINTS, {"Stand": [{}] * 3, "Walk": FRAMES})

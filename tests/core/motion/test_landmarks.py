@@ -2,12 +2,14 @@
 
 import itertools
 import json
+import os
 
 import numpy as np
 import pytest
 from posed_landmarks import CAMERA, SEGMENTS, angles_between, landmarks_of
 
 import physkin_core as physkin
+from physkin_core import cli
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.landmarks import LANDMARK_SETS, USED
 from physkin_core.motion.motion import MotionError, upright_orientation
@@ -316,6 +318,44 @@ def test_gaps_of_a_clip_are_bridged(rig, tmp_path, walk):
     assert max(found["forearm"].max(), found["upper arm"].max()) < 15
 
 
+@pytest.mark.parametrize("nobody", [None, [], {}])
+def test_frames_without_anybody(tmp_path, walk, nobody):
+    """As trackers write them, until somebody comes: those are lost points."""
+    _, points = walk
+    frames = [nobody, nobody, *points.tolist()]
+    (tmp_path / "a.json").write_text(json.dumps({"rate_hz": 30, "frames": frames}))
+    named = [nobody, nobody, *({name: point for name, point in zip(NAMES, frame)} for frame in points.tolist())]
+    (tmp_path / "b.json").write_text(json.dumps({"rate_hz": 30, "axes": "-z x -y", "frames": named}))
+    listed, by_name = (physkin.load_motion(tmp_path / f"{name}.json") for name in "ab")
+    assert listed.frame_count == len(points) + 2
+    np.testing.assert_array_equal(by_name.positions, listed.positions)
+
+
+def test_confidence_is_for_each_point_of_each_frame(tmp_path, walk):
+    """One of another shape would be taken for that of other points, where there are as many frames as points."""
+    _, points = walk
+    np.savez(tmp_path / "a.npz", points=points[: len(NAMES)], confidence=np.ones(len(NAMES)), rate_hz=[30.0])
+    with pytest.raises(MotionError, match=r"confidence has shape \(33,\); expected \(33, 33\)"):
+        physkin.load_motion(tmp_path / "a.npz")
+
+
+def test_text_of_spreadsheets(rig, tmp_path, walk):
+    """In UTF-16, as Excel writes it, with titles in quotes."""
+    truth, points = walk
+    path = written(tmp_path, "csv", points)
+    plain, (head, *rows) = physkin.load_motion(path), path.read_text("utf-8-sig").splitlines()
+    path.write_text("\n".join([",".join(f'"{title}"' for title in head.split(",")), *rows]), encoding="utf-16")
+    np.testing.assert_array_equal(physkin.load_motion(path).positions, plain.positions)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_no_landmarks(tmp_path):
+    """It is not waited for."""
+    os.mkfifo(tmp_path / "a.npz")
+    with pytest.raises(MotionError, match="not a regular file"):
+        physkin.load_motion(tmp_path / "a.npz")
+
+
 def test_mirrored_clips_are_refused(tmp_path, walk):
     """Left and right exchanged, or an axis turned round, would be worn as a body that bends the wrong way."""
     _, points = walk
@@ -371,6 +411,8 @@ NOTHING = [[0.0, 1.0, 2.0]]
         ),
         ("i.json", json.dumps([[[None] * 3] * 33] * 3), "no frame shows both shoulders"),
         ("j.json", json.dumps([{"time": t, "points": NOTHING * 33} for t in (0, 0.1, 0.2, 9)]), "cut pauses out"),
+        ("k.json", json.dumps([{str(1000 * t + k): None for k in range(20)} for t in range(60)]), "1200 landmarks"),
+        ("l.json", json.dumps({"frames": [NOTHING * 2000]}), "it has 2000 landmarks, allowed are 1000"),
         ("a.npz", "no archive", "malformed"),
         ("a.txt", "", "expected .csv, .json or .npz"),
     ],
@@ -383,6 +425,14 @@ def test_refused_files(tmp_path, name, content, said):
     assert f"{name}" in str(refused.value) and len(str(refused.value)) <= 300
 
 
+@pytest.mark.parametrize("rate_hz", [0.0, -30.0, np.inf, np.nan])
+def test_refused_rates(tmp_path, walk, rate_hz):
+    """None is replaced by the file's without a word."""
+    np.savez(tmp_path / "a.npz", points=walk[1], rate_hz=RATE_HZ)
+    with pytest.raises(MotionError, match="rate_hz must be positive and finite"):
+        physkin.load_motion(tmp_path / "a.npz", source_rate_hz=rate_hz)
+
+
 def test_refused_archives(tmp_path, monkeypatch):
     np.savez(tmp_path / "other.npz", trans=np.zeros(3))
     with pytest.raises(MotionError, match="it has no array `points`, but 'trans'"):
@@ -391,5 +441,13 @@ def test_refused_archives(tmp_path, monkeypatch):
         physkin.load_motion(tmp_path / "other.npz")
     np.savez_compressed(tmp_path / "large.npz", points=np.zeros((500, 33, 3)))
     monkeypatch.setattr("physkin_core.motion.landmark_files.LARGEST", 300_000)
-    with pytest.raises(MotionError, match="it unpacks to .* bytes, allowed are 300000"):
+    with pytest.raises(MotionError, match="it has .* bytes when unpacked, allowed are 300000"):
         physkin.load_motion(tmp_path / "large.npz")
+
+
+def test_landmarks_are_converted(tmp_path, walk):
+    """An .npz with them is no clip of a skeleton for any command."""
+    _, points = walk
+    np.savez(tmp_path / "a.npz", points=points, rate_hz=RATE_HZ)
+    assert cli.main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "bag")]) == 0
+    assert physkin.load_motion(tmp_path / "bag").frame_count == len(points)

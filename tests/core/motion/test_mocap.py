@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 
@@ -209,6 +210,26 @@ def test_skeletons_and_poses_as_tools_write_them(rig, tmp_path):
     path.write_text(half)
     with pytest.raises(MotionError, match="line 34 has '2 values'; allowed are 3 finite numbers"):
         load_mocap(path, rig)
+
+
+def test_amc_in_radians(rig, tmp_path):
+    """Where the skeleton's units say so, as much is turned."""
+    path = write_amc(tmp_path, [POSE] * 2)
+    plain, asf = load_mocap(path, rig)[0], tmp_path / "07.asf"
+    number = r"-?[0-9.]+(?:e-?[0-9]+)?"
+
+    def in_radians(values):
+        return " ".join(repr(float(np.radians(float(value)))) for value in values.split())
+
+    axes = re.sub(rf"(?<=axis )((?:{number} ){{3}})", lambda found: in_radians(found[1]) + " ", asf.read_text())
+    asf.write_text(":units\n  mass 1.0\n  angle rad\n" + axes)
+    rows = []
+    for row in path.read_text().splitlines():
+        name, *values = row.split()
+        kept = 3 if name == "root" else 0
+        rows.append(" ".join([name, *values[:kept], in_radians(" ".join(values[kept:]))]))
+    path.write_text("\n".join(rows) + "\n")
+    np.testing.assert_allclose(load_mocap(path, rig)[0].positions, plain.positions, atol=1e-4)
 
 
 def test_amc_needs_its_skeleton(rig, tmp_path):
