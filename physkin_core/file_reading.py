@@ -105,8 +105,8 @@ def numbers_of(words: Sequence[str], count: int, line: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        wrong = next((word for word in words if not NUMBER.fullmatch(word)), f"{len(words)} values")
-        raise ContentError(f"line {line} has {shown(wrong)}; allowed are {count} finite numbers")
+        wrong = next((shown(word) for word in words if not NUMBER.fullmatch(word)), f"{len(words)} values")
+        raise ContentError(f"line {line} has {wrong}; allowed are {count} finite numbers")
     return numbers
 
 

@@ -139,13 +139,13 @@ def test_equal_names_and_names_with_spaces(rig, tmp_path):
         (lambda text: text.replace("Frame Time", "Time"), "line 99 has 'Time:'; allowed are 48 finite numbers"),
         (
             lambda text: text.rstrip()[:-4],
-            "line 101 has '46 values'; allowed are 48 finite numbers",
+            "line 101 has 46 values; allowed are 48 finite numbers",
         ),
-        (lambda text: text + "0 " * 48 + "0\n0", "line 102 has '49 values'"),
+        (lambda text: text + "0 " * 48 + "0\n0", "line 102 has 49 values"),
         (lambda text: text.replace(" 95 ", " nan "), "line 100 has 'nan'; allowed are 48 finite numbers"),
         (
             lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 20"),
-            "line 8 has '2 values'; allowed are 3 finite numbers",
+            "line 8 has 2 values; allowed are 3 finite numbers",
         ),
         (lambda text: text.replace("OFFSET 0 20 0", "OFFSET 0 x 0"), "line 8 has 'x'; allowed are 3 finite numbers"),
         (lambda text: text.replace("OFFSET 0 20", "OFSET 0 20"), "line 8: 'OFSET' cannot stand within 2 open braces"),

@@ -208,7 +208,7 @@ def test_skeletons_and_poses_as_tools_write_them(rig, tmp_path):
         file.write_bytes(text.encode("utf-16"))
     np.testing.assert_array_equal(load_mocap(path, rig)[0].positions, plain.positions)
     path.write_text(half)
-    with pytest.raises(MotionError, match="line 34 has '2 values'; allowed are 3 finite numbers"):
+    with pytest.raises(MotionError, match="line 34 has 2 values; allowed are 3 finite numbers"):
         load_mocap(path, rig)
 
 
