@@ -1,4 +1,4 @@
-"""A motion draped on an outfit, as a glTF file can hold it: bones, garment nodes, morph targets for what is added to
+"""Motions draped on an outfit, as a glTF file can hold it: bones, garment nodes, morph targets for what is added to
 skinning, and of body and cloth what the clip shows.
 
 Dimensions: `T` frames, `b` bones, `m` garment nodes, `n` vertices of a garment, `v` shown, `F` faces of the body.
@@ -7,6 +7,7 @@ Dimensions: `T` frames, `b` bones, `m` garment nodes, `n` vertices of a garment,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -38,19 +39,19 @@ class DrapedGarment:
 
 @dataclass(frozen=True)
 class DrapedClip:
-    """bones: (T, b, 3, 4) canonical to posed. body_shown: (F,) bool of the faces of `Outfit.body_to_draw`. garments:
-    from the skin outwards."""
+    """Frames of all motions, one after the other. bones: (T, b, 3, 4) canonical to posed. body_shown: (F,) bool of the
+    faces of `Outfit.body_to_draw`. garments: from the skin outwards."""
 
     bones: np.ndarray
     body_shown: np.ndarray
     garments: tuple[DrapedGarment, ...]
 
 
-def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
-    """Drape all frames of a motion, and the rest pose, in which a file lies that nothing moves.
+def drape_clip(outfit: Outfit, *motions: Motion, everyday: bool = False) -> DrapedClip:
+    """Drape all frames of motions, and the rest pose, in which a file lies that nothing moves.
 
     outfit: of models `for_engines`, those with detail as they are, and whole (`hide_covered=False`): what is covered
-    in all frames is left out here. Detail moves every vertex besides skinning, so that what the few
+    in all frames is left out here, or in all everyday poses if `everyday`. Detail moves every vertex besides skinning, so that what the few
     influences of engines lose is made up for by the way.
     """
     layers, rig = outfit.layers, outfit.rig
@@ -58,8 +59,11 @@ def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
     always = AlwaysCovered(layers, outfit.avatar)
     always.look(rig.rest, outfit.drape(rig.rest))
     bones, nodes, added, normals = [], *([[] for _ in layers] for _ in range(3))
-    outfit.reset()
-    for positions, time, root in zip(motion.positions_for(rig), motion.times, motion.root):
+    for positions, time, root in chain.from_iterable(
+        zip(motion.positions_for(rig), motion.times, motion.root) for motion in motions
+    ):
+        if time == 0:
+            outfit.reset()
         clouds = outfit.drape(positions, time=time, root=root)
         always.look(positions, clouds)
         bones.append(outfit.bone_transforms(positions))
@@ -70,13 +74,14 @@ def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
             if bound.detail_layers:
                 kept[2].append(_unskinned_normals(matrices, vertex_normals(cloud[:, :3], bound.faces)))
     accessories = len(outfit.body_to_draw.faces) - len(outfit.avatar.faces)
-    body_hidden = faces_of(outfit.avatar.faces, always.body)
+    cloth_hidden = [layer.hidden for layer in layers] if everyday else always.cloth
+    body_hidden = outfit.body_mask if everyday else faces_of(outfit.avatar.faces, always.body)
     return DrapedClip(
         bones=np.array(bones),
         body_shown=np.concatenate([~body_hidden, np.ones(accessories, dtype=bool)]),
         garments=tuple(
             _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded))
-            for layer, bound, hidden, *recorded in zip(layers, skinned, always.cloth, nodes, added, normals)
+            for layer, bound, hidden, *recorded in zip(layers, skinned, cloth_hidden, nodes, added, normals)
         ),
     )
 
