@@ -9,20 +9,26 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.export.dressed_file import is_skinned, write_dressed_file
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.export.web_page import write_web_page
+from physkin_core.file_reading import reading
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours, cloth_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.mesh.surfaces import surfaces_of
+from physkin_core.motion.clip_files import split_clip_name
+from physkin_core.motion.motion import MotionError
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import (
     add_options,
     add_outfit_options,
     as_asked,
     dressed,
+    dressed_avatar,
     print_warnings,
     read_motion,
 )
@@ -32,6 +38,7 @@ from physkin_core.quality import closest_points
 __all__ = ["command_parser", "garment_looks", "main"]
 
 WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
+DRESSED = (".glb", ".vrm")
 LIES_ON = 0.002
 """[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
 
@@ -39,8 +46,10 @@ LIES_ON = 0.002
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin export`."""
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
-    parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
+    said = "bundled motion or a motion file; without --avatar, a glTF or VRM file with a skin is itself dressed"
+    parser.add_argument("motion", metavar="MOTION", help=said)
     add_outfit_options(parser)
+    parser.set_defaults(avatar=None)
     add_options(parser, "source-rate", "separate-limbs", "sway", "wind")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
@@ -69,12 +78,17 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     """Command line. Returns 0; errors are raised."""
     options = command_parser().parse_args(argv)
+    source, clip = split_clip_name(options.motion)
+    is_dressed = options.avatar is None and is_skinned(source)
+    options.avatar = options.avatar or (source if is_dressed else BUNDLED_AVATAR)
     if options.web is not None:
         return _write_page(options)
     kind = options.output.suffix.lower()
-    if kind not in WRITERS:
+    if kind not in WRITERS and not (is_dressed and kind in DRESSED):
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
-    check_other_file(options.output, options.avatar, options.motion, *options.materials)
+    check_other_file(options.output, options.avatar, source, *options.materials)
+    if is_dressed and kind in DRESSED:
+        return _write_dressed(options, source, clip)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
     motion = as_asked(motion, options, outfit)
@@ -84,6 +98,18 @@ def main(argv: list[str]) -> int:
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     print_warnings(not_shown)
+    return 0
+
+
+def _write_dressed(options: argparse.Namespace, source: Path, clip: str) -> int:
+    outfit, avatar = dressed_avatar(options, for_engines=True)
+    looks = garment_looks(options.materials, outfit)
+    with reading(f"motion file {options.motion}", MotionError):
+        said, lacking = write_dressed_file(
+            options.output, source, outfit, avatar, looks=looks, clip=clip, rate_hz=options.rate
+        )
+    print(f"wrote {options.output}: {'; '.join(said)}, {options.output.stat().st_size / 1e6:.1f} MB")
+    print_warnings(lacking)
     return 0
 
 

@@ -31,6 +31,7 @@ __all__ = [
     "chosen_avatar",
     "chosen_garments",
     "dressed",
+    "dressed_avatar",
     "named_garments",
     "motion_settings",
     "print_warnings",
@@ -163,6 +164,13 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
     whole: with what cannot be seen, as what is worn over it can be taken off. for_engines: whole, and where there is no
     detail with the skinning weights that engines take. Raises as `chosen_garments`, `load_avatar` and `Outfit`.
     """
+    return dressed_avatar(options, for_engines=for_engines, whole=whole)[0]
+
+
+def dressed_avatar(
+    options: argparse.Namespace, *, for_engines: bool = False, whole: bool = False
+) -> tuple[Outfit, Avatar]:
+    """`dressed`, and the avatar as it was before, with all its own clothes."""
     garments = chosen_garments(options.garment, options.tucked)
     if for_engines:
         garments = [
@@ -173,7 +181,7 @@ def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bo
     outfit = Outfit(garments, avatar, fit=options.fit, hide_covered=hide_covered, own_clothes=own_clothes)
     outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
     print_warnings(outfit.warnings)
-    return outfit
+    return outfit, avatar
 
 
 def print_warnings(warnings: Sequence[str]) -> None:
