@@ -51,8 +51,8 @@ def drape_clip(outfit: Outfit, *motions: Motion, everyday: bool = False) -> Drap
     """Drape all frames of motions, and the rest pose, in which a file lies that nothing moves.
 
     outfit: of models `for_engines`, those with detail as they are, and whole (`hide_covered=False`): what is covered
-    in all frames is left out here, or in all everyday poses if `everyday`. Detail moves every vertex besides skinning, so that what the few
-    influences of engines lose is made up for by the way.
+    in all frames is left out here, in all everyday poses if `everyday`. Detail moves every vertex besides skinning, so
+    that what the few influences of engines lose is made up for by the way.
     """
     layers, rig = outfit.layers, outfit.rig
     skinned = [_for_engines(layer) for layer in layers]

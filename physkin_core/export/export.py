@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from physkin_core.avatar.loading import BUNDLED_AVATAR
-from physkin_core.export.dressed_file import is_skinned, write_dressed_file
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import BUNDLED_AVATAR, GLTF_SUFFIXES
+from physkin_core.export.dressed_file import write_dressed_file
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.export.web_page import write_web_page
 from physkin_core.file_reading import reading
+from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours, cloth_look
 from physkin_core.mesh.look import Look
@@ -22,13 +24,14 @@ from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.mesh.surfaces import surfaces_of
 from physkin_core.motion.clip_files import split_clip_name
 from physkin_core.motion.motion import MotionError
+from physkin_core.motion.source_clip import RATE_HZ
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import (
     add_options,
     add_outfit_options,
     as_asked,
+    chosen_avatar,
     dressed,
-    dressed_avatar,
     print_warnings,
     read_motion,
 )
@@ -79,16 +82,16 @@ def main(argv: list[str]) -> int:
     """Command line. Returns 0; errors are raised."""
     options = command_parser().parse_args(argv)
     source, clip = split_clip_name(options.motion)
-    is_dressed = options.avatar is None and is_skinned(source)
-    options.avatar = options.avatar or (source if is_dressed else BUNDLED_AVATAR)
+    own = _skinned_file(source) if options.avatar is None else None
+    options.avatar = options.avatar or (BUNDLED_AVATAR if own is None else source)
     if options.web is not None:
         return _write_page(options)
     kind = options.output.suffix.lower()
-    if kind not in WRITERS and not (is_dressed and kind in DRESSED):
+    if own is not None and kind in DRESSED:
+        return _write_dressed(options, own, clip)
+    if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
     check_other_file(options.output, options.avatar, source, *options.materials)
-    if is_dressed and kind in DRESSED:
-        return _write_dressed(options, source, clip)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
     motion = as_asked(motion, options, outfit)
@@ -101,14 +104,23 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _write_dressed(options: argparse.Namespace, source: Path, clip: str) -> int:
-    outfit, avatar = dressed_avatar(options, for_engines=True)
-    looks = garment_looks(options.materials, outfit)
+def _skinned_file(source: Path) -> GltfFile | None:
+    """The file itself if it can be dressed."""
+    if source.suffix.lower() not in GLTF_SUFFIXES or not source.is_file():
+        return None
+    with reading(f"motion file {source}", MotionError):
+        file = GltfFile(source, lenient=True)
+        return file if file.document.count("skins") else None
+
+
+def _write_dressed(options: argparse.Namespace, file: GltfFile, clip: str) -> int:
+    check_other_file(options.output, file.path, *options.materials)
+    avatar = chosen_avatar(options, load_body_model().rig)
+    outfit = dressed(options, for_engines=True, avatar=avatar)
+    looks, rate_hz = garment_looks(options.materials, outfit), options.rate or RATE_HZ
     with reading(f"motion file {options.motion}", MotionError):
-        said, lacking = write_dressed_file(
-            options.output, source, outfit, avatar, looks=looks, clip=clip, rate_hz=options.rate
-        )
-    print(f"wrote {options.output}: {'; '.join(said)}, {options.output.stat().st_size / 1e6:.1f} MB")
+        said, lacking = write_dressed_file(options.output, file, outfit, avatar, looks, clip, rate_hz)
+    print(f"wrote {options.output}: {file.path.name} {said}; {options.output.stat().st_size / 1e6:.1f} MB")
     print_warnings(lacking)
     return 0
 

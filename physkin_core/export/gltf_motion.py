@@ -47,16 +47,15 @@ def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequ
     Raises OSError when it cannot be written.
     """
     clip = drape_clip(outfit, motion)
-    scene = AnimatedScene()
-    scene.add_take({"name": motion.name or path.stem, "channels": [], "samplers": []}, motion.times)
+    scene = AnimatedScene([({"name": motion.name or path.stem, "channels": [], "samplers": []}, motion.times)])
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.add_avatar(outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, looks[0])
     colours = cloth_colours(outfit.garments)
     for garment, layer, colour, look in zip(clip.garments, outfit.layers, colours, looks[1:]):
         if garment.shown.any():
             own = None if look is None else look.of_faces(garment.shown, layer.faces)
-            node_rest = garment.given.node_rest
-            scene.add_garment(garment, [root] * len(node_rest), colour, own, rest=node_rest)
+            rest = garment.given.node_rest
+            scene.add_garment(garment, [root] * len(rest), colour, own, rest=rest)
     write_glb(path, scene.builder)
     return [warning for garment in clip.garments for warning in not_shown(garment)]
 
@@ -66,7 +65,7 @@ def not_shown(garment: DrapedGarment) -> list[str]:
     if not garment.shown.any():
         return [f"{garment.name} is not in the file: it is covered in all frames"]
     lacking = garment.lacking.max(axis=1, initial=0)
-    if garment.morphs.turns is not None:
+    if garment.morphs.turns is not None and lacking.any():
         average = garment.lacking.sum() / (len(lacking) * len(garment.given.vertices))
         return [
             f"{garment.name} is {1000 * average:.2f} mm off on average, {1000 * lacking.max():.1f} mm at most, because "
@@ -82,24 +81,22 @@ def not_shown(garment: DrapedGarment) -> list[str]:
 
 
 class AnimatedScene(GltfScene):
-    """A scene with animations. still: so many frames belong to none, those before the first animation's."""
+    """A scene with animations. takes: each, new ones or those of builder's document, and its times [s]; their frames
+    follow one another in arrays, after `still` ones that belong to none."""
 
-    def __init__(self, builder: GltfBuilder | None = None, *, still: int = 0) -> None:
+    def __init__(
+        self, takes: Sequence[tuple[dict, np.ndarray]], builder: GltfBuilder | None = None, *, still: int = 0
+    ) -> None:
         super().__init__(builder)
         self._takes: list[tuple[dict, int, slice]] = []
-        self._frames = still
-
-    def add_take(self, animation: dict, times: np.ndarray) -> None:
-        """An animation, new or of the document, that has the next of the frames that arrays hold. times: (T,) [s] of
-        these."""
-        animations = self.builder.document.setdefault("animations", [])
-        if not any(animation is each for each in animations):
-            animations.append(animation)
-        accessor = self.builder.add_accessor(times.astype(np.float32))
-        span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
-        self.builder.document["accessors"][accessor] |= span
-        self._takes.append((animation, accessor, slice(self._frames, self._frames + len(times))))
-        self._frames += len(times)
+        for animation, times in takes:
+            accessor = self.builder.add_accessor(times.astype(np.float32))
+            span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
+            self.builder.document["accessors"][accessor] |= span
+            self._takes.append((animation, accessor, slice(still, still + len(times))))
+            still += len(times)
+        if builder is None:
+            self.builder.document["animations"] = [animation for animation, _ in takes]
 
     def add_root(self, **paths: np.ndarray) -> int:
         """What all else hangs on. paths: translation (T, 1, 3) [m] and rotation (T, 1, 4)."""
@@ -138,22 +135,17 @@ class AnimatedScene(GltfScene):
         parents: Sequence[int],
         colour: tuple[float, float, float],
         look: Look | None,
-        *,
         rest: np.ndarray | None = None,
     ) -> None:
-        """A garment on its garment nodes. parents: (m,) the nodes that these hang on. colour: sRGB, of what has no
+        """A garment on its garment nodes. parents: (m,) nodes that these hang on. colour: sRGB, of what has no
         material. rest: (m, 3) as of `_add_joints`."""
         name, bound = garment.name, garment.given
         chains = as_joint_chains(garment.node_transforms)
         names = [f"{name}_{node}" for node in range(len(bound.node_rest))]
         moved = {"translation": chains.translation, "rotation": chains.rotation, "scale": chains.scale}
         outer = self._add_joints(names, parents=parents, rest=rest, **moved)
-        inner = self._add_joints(
-            [f"{each}_inner" for each in names],
-            parents=outer,
-            rest=None if rest is None else np.zeros((len(rest), 3)),
-            rotation=chains.inner_rotation,
-        )
+        names, rest = [f"{each}_inner" for each in names], None if rest is None else np.zeros_like(rest)
+        inner = self._add_joints(names, parents=outer, rest=rest, rotation=chains.inner_rotation)
         skin = self.add_skin(name, inner, bound.node_rest)
         joints, weights = strongest_influences(bound.influence_nodes, bound.influence_weights)
         cloud = np.concatenate([bound.vertices, unit(bound.normals)], axis=1)
@@ -175,8 +167,8 @@ class AnimatedScene(GltfScene):
         rest: np.ndarray | None = None,
         **paths: np.ndarray,
     ) -> list[int]:
-        """Nodes with arrays (T, j, width) of what moves them. parents: (j,); None: they hang on nothing. rest: (j, 3)
-        where in their parent they are, unturned, when nothing does; default where they are in the first frame.
+        """Nodes with arrays (T, j, width) of what moves them. parents: (j,) or none. rest: (j, 3) where in their parent
+        they are, unturned, when nothing does; default where they are in the first frame.
 
         Blender skins a mesh to the joints at rest and from there to the motion. That is the same as at once only if
         they rest where the mesh was bound.
@@ -200,9 +192,9 @@ class AnimatedScene(GltfScene):
         """values: (T, width) float32."""
         for animation, times, frames in self._takes:
             output = self.builder.add_accessor(values[frames].reshape(-1) if path == "weights" else values[frames])
-            samplers, target = animation["samplers"], {"node": node, "path": path}
-            animation["channels"].append({"sampler": len(samplers), "target": target})
-            samplers.append({"input": times, "output": output})
+            target = {"sampler": len(animation["samplers"]), "target": {"node": node, "path": path}}
+            animation["channels"].append(target)
+            animation["samplers"].append({"input": times, "output": output})
 
 
 def _finished(morphs: MorphTargets, finish: Finish) -> MorphTargets:
