@@ -27,10 +27,13 @@ from physkin_core.formats.gltf_compression import DRACO
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import TRIANGLES, GltfFile
 from physkin_core.formats.gltf_scene import drawn_primitives
+from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look, picture_kind
+from physkin_core.mesh.surfaces import parts_of
 from physkin_core.motion.gltf_clip import GltfClip, chosen_clip
 from physkin_core.outfit.outfit import Outfit
+from physkin_core.pictures.picture import BODY_COLOUR
 
 __all__ = ["write_dressed_file"]
 
@@ -66,6 +69,7 @@ def write_dressed_file(
             own = None if look is None else look.of_faces(garment.shown, layer.faces)
             parents = avatar.file_joints[carrier[garment.given.node_bone]]
             scene.add_garment(_on_joints(garment, avatar, carrier, draped.bones), parents, colour, own)
+    _add_lent_skin(scene, outfit.body_to_draw, draped.body_shown, carrier)
     worn, all_worn = outfit.body_to_draw.file_corners[draped.body_shown], avatar.with_accessories().file_corners
     lacking = _leave_out(file, scene.builder, np.setdiff1d(all_worn // 3, worn // 3))
     write_glb(path, scene.builder)
@@ -86,8 +90,24 @@ def _on_joints(garment: DrapedGarment, avatar: Avatar, carrier: np.ndarray, bone
     return replace(garment, node_transforms=FROM_ROOT_FRAME.T @ seen[:, :, :3], morphs=morphs)
 
 
+def _add_lent_skin(scene: AnimatedScene, avatar: Avatar, shown: np.ndarray, carrier: np.ndarray) -> None:
+    """Add what is shown of the skin that the body model lends to an avatar which has clothes only there: each of its
+    faces has one corner of the file (`with_skin_beneath`). shown: (F,) bool. carrier: (b,)."""
+    lent = shown & (avatar.file_corners[:, 0] == avatar.file_corners[:, 1])
+    if lent.any():
+        bones, place = np.unique(carrier, return_inverse=True)
+        binds = np.linalg.inv(avatar.file_joint_frames[bones])
+        binds[:, :, :3] = binds[:, :, :3] @ FROM_ROOT_FRAME.T
+        inverse = scene.builder.add_accessor(binds.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+        skins = scene.builder.document["skins"]
+        skins.append({"joints": avatar.file_joints[bones].tolist(), "inverseBindMatrices": inverse})
+        (part,) = parts_of(avatar_look(avatar, lent), "skin", BODY_COLOUR, avatar.faces[lent])
+        moved = replace(avatar, influence_bones=place[avatar.influence_bones])
+        scene.add_body(moved, part, skin=len(skins) - 1)
+
+
 def _opened(file: GltfFile) -> GltfBuilder:
-    """A file's document and bytes to add to, with what lies beside the file: buffers, and pictures if they are there."""
+    """A document and its bytes to add to, with what lies beside the file: buffers, and pictures that are there."""
     document, builder = file.document.members, GltfBuilder({})
     builder.document, builder.binary = document, bytearray(file.buffers[0])
     document["buffers"][0].pop("uri", None)
