@@ -16,12 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
+from physkin_core.avatar.retargeting import covered_bones
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, write_glb
 from physkin_core.export.gltf_motion import AnimatedScene, not_shown
-from physkin_core.export.own_clips import carriers, own_motion
 from physkin_core.file_reading import ContentError
 from physkin_core.formats.gltf_compression import DRACO
 from physkin_core.formats.gltf_document import GltfEntry
@@ -32,13 +33,18 @@ from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.look import Look, picture_kind
 from physkin_core.mesh.surfaces import parts_of
 from physkin_core.motion.gltf_clip import GltfClip, chosen_clip
+from physkin_core.motion.motion import Motion
+from physkin_core.motion.pose_solver import PoseSolver
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.pictures.picture import BODY_COLOUR
+from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["write_dressed_file"]
 
-MOST_FRAMES = 1 << 14
-"""Of all clips together, which bounds the memory: four and a half minutes at 60 Hz."""
+MOST_FRAMES = 4096
+"""Of all clips together, 68 s at 60 Hz, which bounds the memory: half a gigabyte a garment."""
+LIGHT = {"foot": 0.15, "wrist": 0.15, "neck01": 0.15, "head": 0.15}
+"""How much a turn of these counts, which must not drag along limb or trunk; 1 is usual."""
 
 
 def write_dressed_file(
@@ -59,11 +65,11 @@ def write_dressed_file(
         more = f"its clips have {sum(counts)} frames at {rate_hz:g} Hz, allowed are {MOST_FRAMES}"
         raise ContentError(f"{more}; choose one with #NAME after the file, or a lower --rate")
     times = [np.linspace(each.start, each.end, count) for (_, each), count in zip(clips, counts)]
-    still = own_motion(file, avatar, rig, GltfClip(file, GltfEntry({}, "")), np.zeros(1))
-    motions = [own_motion(file, avatar, rig, each, seconds) for (_, each), seconds in zip(clips, times)]
+    still = _own_motion(file, avatar, rig, GltfClip(file, GltfEntry({}, "")), np.zeros(1))
+    motions = [_own_motion(file, avatar, rig, each, seconds) for (_, each), seconds in zip(clips, times)]
     draped = drape_clip(outfit, still, *motions, everyday=not clips)
     scene = AnimatedScene([(entry.members, each) for (entry, _), each in zip(clips, times)], _opened(file), still=1)
-    carrier, colours = carriers(avatar, rig), cloth_colours(outfit.garments)
+    carrier, colours = _carriers(avatar, rig), cloth_colours(outfit.garments)
     for garment, layer, colour, look in zip(draped.garments, outfit.layers, colours, looks):
         if garment.shown.any():
             own = None if look is None else look.of_faces(garment.shown, layer.faces)
@@ -76,6 +82,44 @@ def write_dressed_file(
     said = ", ".join(f"{entry.text('name') or 'clip'} ({count} frames)" for (entry, _), count in zip(clips, counts))
     lacking += [warning for garment in draped.garments for warning in not_shown(garment)]
     return f"dressed in {said}" if clips else "no clip: clothes at rest, which its joints move", lacking
+
+
+def _carriers(avatar: Avatar, rig: Rig) -> np.ndarray:
+    """(b,) for each bone the one whose joint in the file moves the skin there: itself, the nearest above that has one,
+    or else the first that has one."""
+    own = np.flatnonzero(avatar.file_joints >= 0)
+    return rig.inherited({int(bone): int(bone) for bone in own}, int(own[0]))
+
+
+def _own_motion(file: GltfFile, avatar: Avatar, rig: Rig, clip: GltfClip, seconds: np.ndarray) -> Motion:
+    """How the rig moves where the clip moves the file's joints, at evenly spaced times (T,) [s]. Raises ContentError,
+    and MotionError for what is not finite."""
+    bones = np.unique(_carriers(avatar, rig))
+    joints, names = avatar.file_joints[bones], {rig.bone_names[bone] for bone in bones}
+    inside = {above for joint in joints for above in ancestors(file.node_parents, joint)}
+    nodes = [node for node in file.node_order if node in inside]
+    worlds = dict(zip(nodes, clip.worlds(nodes, seconds)))
+    moved = np.stack([worlds[joint] for joint in joints], axis=1) @ np.linalg.inv(avatar.file_joint_frames[bones])
+    root, linear = moved[:, 0], moved[..., :3, :3]
+    unit = np.cbrt(np.median(np.linalg.det(linear[:, 0])))  # the scene's, a metre
+    follows = np.flatnonzero(np.isin(rig.turns_with[bones], rig.dof_bones) & (bones != bones[0]))
+    axes = np.stack([LIGHT.get(rig.bone_names[bone].split(".")[0], 1.0) * np.eye(3) for bone in bones[follows]])
+    solver = PoseSolver(rig, [covered_bones(int(bone), rig, names)[-1] for bone in bones[follows]], axes)
+    turned = _turns(np.linalg.pinv(linear[:, :1]) @ linear[:, follows]).as_matrix()
+    return Motion(
+        rig.joint_names,
+        solver.solve(turned.reshape(-1, *axes.shape) @ axes),
+        _turns(FROM_ROOT_FRAME.T @ linear[:, 0] / unit).as_quat(),
+        root[:, :3, 3] @ FROM_ROOT_FRAME / unit,
+        rate_hz=(len(seconds) - 1) / (seconds[-1] - seconds[0]) if len(seconds) > 1 else 1.0,
+    )
+
+
+def _turns(linear: np.ndarray) -> Rotation:
+    """Rotations of linear maps (..., 3, 3), all in one list; none of what is scaled to nothing."""
+    linear = linear.reshape(-1, 3, 3)
+    size = np.cbrt(np.linalg.det(linear))[:, None, None]
+    return Rotation.from_matrix(np.where(size > 1e-3, linear / np.maximum(size, 1e-3), np.eye(3)))
 
 
 def _on_joints(garment: DrapedGarment, avatar: Avatar, carrier: np.ndarray, bones: np.ndarray) -> DrapedGarment:
@@ -118,7 +162,8 @@ def _opened(file: GltfFile) -> GltfBuilder:
         document |= {"scene": 0, "scenes": [{"nodes": np.flatnonzero(file.node_parents < 0).tolist()}]}
     for number, image in enumerate(file.document.entries("images")):
         with suppress(ContentError, OSError):
-            if "uri" in image and (kind := picture_kind(content := file.picture(number))):
+            embedded = "uri" not in image or image.text("uri").startswith("data:")
+            if not embedded and (kind := picture_kind(content := file.picture(number))):
                 view = builder.add_view(np.frombuffer(content, dtype=np.uint8))
                 del image.members["uri"]
                 image.members |= {"mimeType": kind, "bufferView": view}
@@ -128,7 +173,8 @@ def _opened(file: GltfFile) -> GltfBuilder:
 def _leave_out(file: GltfFile, builder: GltfBuilder, hidden: np.ndarray) -> list[str]:
     """Leave triangles out of the file's indices. hidden: their numbers, counted over the whole file. Says if some have
     to stay."""
-    drawn, packed = {}, 0
+    drawn: dict[int, tuple[GltfEntry, np.ndarray]] = {}
+    packed = 0
     for each in drawn_primitives(file):  # more than one node may show it
         key, seen = id(each.primitive.members), ~np.isin(each.corners[:, 0] // 3, hidden)
         drawn[key] = each.primitive, seen | drawn[key][1] if key in drawn else seen

@@ -41,7 +41,6 @@ from physkin_core.quality import closest_points
 __all__ = ["command_parser", "garment_looks", "main"]
 
 WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
-DRESSED = (".glb", ".vrm")
 LIES_ON = 0.002
 """[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
 
@@ -87,7 +86,7 @@ def main(argv: list[str]) -> int:
     if options.web is not None:
         return _write_page(options)
     kind = options.output.suffix.lower()
-    if own is not None and kind in DRESSED:
+    if own is not None and (kind == ".glb" or kind == source.suffix.lower() == ".vrm"):
         return _write_dressed(options, own, clip)
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
@@ -110,14 +109,16 @@ def _skinned_file(source: Path) -> GltfFile | None:
         return None
     with reading(f"motion file {source}", MotionError):
         file = GltfFile(source, lenient=True)
-        return file if file.document.count("skins") else None
+        return file if file.document.count("skins") and file.document.count("meshes") else None
 
 
 def _write_dressed(options: argparse.Namespace, file: GltfFile, clip: str) -> int:
     check_other_file(options.output, file.path, *options.materials)
+    if options.source_rate is not None or not 0 < (rate_hz := options.rate or RATE_HZ) < np.inf:
+        raise ValueError("clips keep their own times: no --source-rate, and a positive --rate")
     avatar = chosen_avatar(options, load_body_model().rig)
     outfit = dressed(options, for_engines=True, avatar=avatar)
-    looks, rate_hz = garment_looks(options.materials, outfit), options.rate or RATE_HZ
+    looks = garment_looks(options.materials, outfit)
     with reading(f"motion file {options.motion}", MotionError):
         said, lacking = write_dressed_file(options.output, file, outfit, avatar, looks, clip, rate_hz)
     print(f"wrote {options.output}: {file.path.name} {said}; {options.output.stat().st_size / 1e6:.1f} MB")

@@ -192,8 +192,8 @@ class AnimatedScene(GltfScene):
         """values: (T, width) float32."""
         for animation, times, frames in self._takes:
             output = self.builder.add_accessor(values[frames].reshape(-1) if path == "weights" else values[frames])
-            target = {"sampler": len(animation["samplers"]), "target": {"node": node, "path": path}}
-            animation["channels"].append(target)
+            channel = {"sampler": len(animation["samplers"]), "target": {"node": node, "path": path}}
+            animation["channels"].append(channel)
             animation["samplers"].append({"input": times, "output": output})
 
 

@@ -143,7 +143,7 @@ def test_cloth_is_where_the_drape_on_this_body_is(dressed, clip, motion):
 
 
 def test_the_file_stays_as_it_was(dressed):
-    """Its joints bear those of garment nodes besides; of its triangles those under cloth are gone; clips are as long."""
+    """Its joints bear those of garment nodes, too; triangles under cloth are gone; clips are as long."""
     (before, binary), (after, longer) = (parse_gltf((dressed / name).read_bytes()) for name in ("in.glb", "out.glb"))
     before, after = before.members, after.members
     assert longer.startswith(binary.rstrip(b"\0"))
@@ -267,6 +267,11 @@ def test_refusals(tmp_path, monkeypatch, capsys):
     assert "its clips have 9 frames at 60 Hz, allowed are 5; choose one with #NAME" in capsys.readouterr().err
     assert main(["export", str(tmp_path / "in.glb"), "-g", "tshirt", "-o", str(tmp_path / "in.glb")]) == 2
     assert "it is the file that is read" in capsys.readouterr().err
+    for options in (("--source-rate", "30"), ("--rate", "-1"), ("--rate", "nan")):
+        assert export(tmp_path / "in.glb", *options) == 2
+        assert "clips keep their own times" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "in.glb"), "-g", "tshirt", "-o", str(tmp_path / "out.vrm")]) == 2
+    assert "cannot write out.vrm" in capsys.readouterr().err
 
 
 def test_on_another_avatar_a_clip_is_motion_alone(tmp_path):
