@@ -11,7 +11,7 @@ from itertools import chain
 
 import numpy as np
 
-from physkin_core.export.morph_targets import MOST_TARGETS, MorphTargets, in_few_targets, unskinned
+from physkin_core.export.morph_targets import MorphTargets, in_few_targets, unskinned
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.skinning import skinning_matrices, unit
 from physkin_core.motion.motion import Motion
@@ -56,7 +56,7 @@ def drape_clip(outfit: Outfit, *motions: Motion, everyday: bool = False) -> Drap
     """
     layers, rig = outfit.layers, outfit.rig
     skinned = [_for_engines(layer) for layer in layers]
-    most = MOST_TARGETS * min(len(motions), 3)  # more motions share more folds
+    share = min(len(motions), 3)  # more motions have more folds
     always = AlwaysCovered(layers, outfit.avatar)
     always.look(rig.rest, outfit.drape(rig.rest))
     bones, nodes, added, normals = [], *([[] for _ in layers] for _ in range(3))
@@ -81,7 +81,7 @@ def drape_clip(outfit: Outfit, *motions: Motion, everyday: bool = False) -> Drap
         bones=np.array(bones),
         body_shown=np.concatenate([~body_hidden, np.ones(accessories, dtype=bool)]),
         garments=tuple(
-            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded), most)
+            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded), share)
             for layer, bound, hidden, *recorded in zip(layers, skinned, cloth_hidden, nodes, added, normals)
         ),
     )
@@ -112,13 +112,13 @@ def _shown(
     node_transforms: np.ndarray,
     added: np.ndarray,
     normals: np.ndarray,
-    most_targets: int,
+    share: int,
 ) -> DrapedGarment:
     """A garment of which some faces are shown, and their vertices. added: (T, n, 3) to the whole one's in each frame;
     normals: (T, n, 3) that they should have before skinning, none without detail."""
     visible, faces = np.unique(bound.faces[shown], return_inverse=True)
     given = bound.of_vertices(visible, faces.reshape(-1, 3).astype(np.int32))
-    morphs, offset, left = in_few_targets(added[:, visible], most_targets)
+    morphs, offset, left = in_few_targets(added[:, visible], share)
     lacking = [
         np.linalg.norm(np.einsum("vij,vj->vi", _blended(given, nodes, morphs.moved)[..., :3], each), axis=1)
         for nodes, each in zip(node_transforms, left)
