@@ -7,7 +7,7 @@ Dimensions: `V` vertices, `f` faces, `j` joints of the avatar's skeleton, `b` bo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from physkin_core.rig.human_skeleton import spine_bones
 from physkin_core.rig.linear_blend_skinning import dense_weights, linear_blend_skinning, strongest_influences
 from physkin_core.rig.rig import Rig
 
-__all__ = ["place_bones", "retarget"]
+__all__ = ["covered_bones", "place_bones", "retarget"]
 
 MAX_INFLUENCES = 8
 JOINT_DEVIATIONS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
@@ -225,11 +225,11 @@ def _rig_influences(
 
 
 def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) -> None:
-    """Share one joint's influence among the rig bones it covers, so that twist is spread (see `_covered_bones`).
+    """Share one joint's influence among the rig bones it covers, so that twist is spread (see `covered_bones`).
 
     A vertex's share goes over linearly from the middle of one bone to the middle of the next along the chain.
     """
-    chain = _covered_bones(bone, rig, bone_joint)
+    chain = covered_bones(bone, rig, bone_joint)
     direction = tails[chain[-1]] - heads[bone]
     length = np.linalg.norm(direction)
     if len(chain) == 1 or length < 1e-6:
@@ -241,12 +241,12 @@ def _spread_along_chain(dense, bone, rig, bone_joint, vertices, heads, tails) ->
     dense[rows[:, None], chain] = dense[rows, bone, None] * shares
 
 
-def _covered_bones(bone: int, rig: Rig, bone_joint: Mapping[str, int]) -> list[int]:
+def covered_bones(bone: int, rig: Rig, bone_joint: Collection[str]) -> list[int]:
     """A joint's bone and those after it without a joint: upperarm01 and upperarm02; of the root of a skeleton without
     a spine, that, as cloth bends with it."""
     if bone == 0:
         spine = spine_bones(rig)
-        return [0, *map(rig.bone_index, spine)] if bone_joint.keys().isdisjoint(spine) else [0]
+        return [0, *map(rig.bone_index, spine)] if set(spine).isdisjoint(bone_joint) else [0]
     chain = [bone]
     while len(children := np.flatnonzero(rig.parents == chain[-1])) == 1:
         if rig.bone_names[children[0]] in bone_joint:

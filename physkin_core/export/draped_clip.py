@@ -1,4 +1,4 @@
-"""A motion draped on an outfit, as a glTF file can hold it: bones, garment nodes, morph targets for what is added to
+"""Motions draped on an outfit, as a glTF file can hold it: bones, garment nodes, morph targets for what is added to
 skinning, and of body and cloth what the clip shows.
 
 Dimensions: `T` frames, `b` bones, `m` garment nodes, `n` vertices of a garment, `v` shown, `F` faces of the body.
@@ -7,6 +7,7 @@ Dimensions: `T` frames, `b` bones, `m` garment nodes, `n` vertices of a garment,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -38,28 +39,32 @@ class DrapedGarment:
 
 @dataclass(frozen=True)
 class DrapedClip:
-    """bones: (T, b, 3, 4) canonical to posed. body_shown: (F,) bool of the faces of `Outfit.body_to_draw`. garments:
-    from the skin outwards."""
+    """Frames of all motions, one after the other. bones: (T, b, 3, 4) canonical to posed. body_shown: (F,) bool of the
+    faces of `Outfit.body_to_draw`. garments: from the skin outwards."""
 
     bones: np.ndarray
     body_shown: np.ndarray
     garments: tuple[DrapedGarment, ...]
 
 
-def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
-    """Drape all frames of a motion, and the rest pose, in which a file lies that nothing moves.
+def drape_clip(outfit: Outfit, *motions: Motion, everyday: bool = False) -> DrapedClip:
+    """Drape all frames of motions, and the rest pose, in which a file lies that nothing moves.
 
     outfit: of models `for_engines`, those with detail as they are, and whole (`hide_covered=False`): what is covered
-    in all frames is left out here. Detail moves every vertex besides skinning, so that what the few
-    influences of engines lose is made up for by the way.
+    in all frames is left out here, in all everyday poses if `everyday`. Detail moves every vertex besides skinning, so
+    that what the few influences of engines lose is made up for by the way.
     """
     layers, rig = outfit.layers, outfit.rig
     skinned = [_for_engines(layer) for layer in layers]
+    share = min(len(motions), 3)  # more motions have more folds
     always = AlwaysCovered(layers, outfit.avatar)
     always.look(rig.rest, outfit.drape(rig.rest))
     bones, nodes, added, normals = [], *([[] for _ in layers] for _ in range(3))
-    outfit.reset()
-    for positions, time, root in zip(motion.positions_for(rig), motion.times, motion.root):
+    for positions, time, root in chain.from_iterable(
+        zip(motion.positions_for(rig), motion.times, motion.root) for motion in motions
+    ):
+        if time == 0:
+            outfit.reset()
         clouds = outfit.drape(positions, time=time, root=root)
         always.look(positions, clouds)
         bones.append(outfit.bone_transforms(positions))
@@ -70,13 +75,14 @@ def drape_clip(outfit: Outfit, motion: Motion) -> DrapedClip:
             if bound.detail_layers:
                 kept[2].append(_unskinned_normals(matrices, vertex_normals(cloud[:, :3], bound.faces)))
     accessories = len(outfit.body_to_draw.faces) - len(outfit.avatar.faces)
-    body_hidden = faces_of(outfit.avatar.faces, always.body)
+    cloth_hidden = [layer.hidden for layer in layers] if everyday else always.cloth
+    body_hidden = outfit.body_mask if everyday else faces_of(outfit.avatar.faces, always.body)
     return DrapedClip(
         bones=np.array(bones),
         body_shown=np.concatenate([~body_hidden, np.ones(accessories, dtype=bool)]),
         garments=tuple(
-            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded))
-            for layer, bound, hidden, *recorded in zip(layers, skinned, always.cloth, nodes, added, normals)
+            _shown(layer.name, bound, ~faces_of(layer.faces, hidden), *map(np.array, recorded), share)
+            for layer, bound, hidden, *recorded in zip(layers, skinned, cloth_hidden, nodes, added, normals)
         ),
     )
 
@@ -106,12 +112,13 @@ def _shown(
     node_transforms: np.ndarray,
     added: np.ndarray,
     normals: np.ndarray,
+    share: int,
 ) -> DrapedGarment:
     """A garment of which some faces are shown, and their vertices. added: (T, n, 3) to the whole one's in each frame;
     normals: (T, n, 3) that they should have before skinning, none without detail."""
     visible, faces = np.unique(bound.faces[shown], return_inverse=True)
     given = bound.of_vertices(visible, faces.reshape(-1, 3).astype(np.int32))
-    morphs, offset, left = in_few_targets(added[:, visible])
+    morphs, offset, left = in_few_targets(added[:, visible], share)
     lacking = [
         np.linalg.norm(np.einsum("vij,vj->vi", _blended(given, nodes, morphs.moved)[..., :3], each), axis=1)
         for nodes, each in zip(node_transforms, left)

@@ -9,19 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
+from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.loading import BUNDLED_AVATAR, GLTF_SUFFIXES
+from physkin_core.export.dressed_file import write_dressed_file
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
 from physkin_core.export.web_page import write_web_page
+from physkin_core.file_reading import reading
+from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.look.avatar_look import avatar_look
 from physkin_core.look.cloth_look import cloth_colours, cloth_look
 from physkin_core.mesh.look import Look
 from physkin_core.mesh.mesh_file import read_mesh
 from physkin_core.mesh.surfaces import surfaces_of
+from physkin_core.motion.clip_files import split_clip_name
+from physkin_core.motion.motion import MotionError
+from physkin_core.motion.source_clip import RATE_HZ
 from physkin_core.outfit.outfit import Outfit
 from physkin_core.outfit.outfit_options import (
     add_options,
     add_outfit_options,
     as_asked,
+    chosen_avatar,
     dressed,
     print_warnings,
     read_motion,
@@ -39,8 +48,10 @@ LIES_ON = 0.002
 def command_parser() -> argparse.ArgumentParser:
     """Options of `physkin export`."""
     parser = argparse.ArgumentParser(prog="physkin export", description=__doc__.split("`: ")[1])
-    parser.add_argument("motion", metavar="MOTION", help="bundled motion or a motion file")
+    said = "bundled motion or a motion file; without --avatar, a glTF or VRM file with a skin is itself dressed"
+    parser.add_argument("motion", metavar="MOTION", help=said)
     add_outfit_options(parser)
+    parser.set_defaults(avatar=None)
     add_options(parser, "source-rate", "separate-limbs", "sway", "wind")
     parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
     parser.add_argument(
@@ -69,12 +80,17 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     """Command line. Returns 0; errors are raised."""
     options = command_parser().parse_args(argv)
+    source, clip = split_clip_name(options.motion)
+    own = _skinned_file(source) if options.avatar is None else None
+    options.avatar = options.avatar or (BUNDLED_AVATAR if own is None else source)
     if options.web is not None:
         return _write_page(options)
     kind = options.output.suffix.lower()
+    if own is not None and (kind == ".glb" or kind == source.suffix.lower() == ".vrm"):
+        return _write_dressed(options, own, clip)
     if kind not in WRITERS:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
-    check_other_file(options.output, options.avatar, options.motion, *options.materials)
+    check_other_file(options.output, options.avatar, source, *options.materials)
     motion = read_motion(options)
     outfit = dressed(options, for_engines=kind == ".glb")
     motion = as_asked(motion, options, outfit)
@@ -84,6 +100,29 @@ def main(argv: list[str]) -> int:
     size = options.output.stat().st_size / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     print_warnings(not_shown)
+    return 0
+
+
+def _skinned_file(source: Path) -> GltfFile | None:
+    """The file itself if it can be dressed."""
+    if source.suffix.lower() not in GLTF_SUFFIXES or not source.is_file():
+        return None
+    with reading(f"motion file {source}", MotionError):
+        file = GltfFile(source, lenient=True)
+        return file if file.document.count("skins") and file.document.count("meshes") else None
+
+
+def _write_dressed(options: argparse.Namespace, file: GltfFile, clip: str) -> int:
+    check_other_file(options.output, file.path, *options.materials)
+    if options.source_rate is not None or not 0 < (rate_hz := options.rate or RATE_HZ) < np.inf:
+        raise ValueError("clips keep their own times: no --source-rate, and a positive --rate")
+    avatar = chosen_avatar(options, load_body_model().rig)
+    outfit = dressed(options, for_engines=True, avatar=avatar)
+    looks = garment_looks(options.materials, outfit)
+    with reading(f"motion file {options.motion}", MotionError):
+        said, lacking = write_dressed_file(options.output, file, outfit, avatar, looks, clip, rate_hz)
+    print(f"wrote {options.output}: {file.path.name} {said}; {options.output.stat().st_size / 1e6:.1f} MB")
+    print_warnings(lacking)
     return 0
 
 

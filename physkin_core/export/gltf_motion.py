@@ -20,7 +20,7 @@ from physkin_core.export.affine_joints import as_joint_chains
 from physkin_core.export.draped_clip import DrapedGarment, drape_clip
 from physkin_core.export.gltf_scene import GltfScene, in_gltf_frame
 from physkin_core.export.morph_targets import MorphTargets
-from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME, strongest_influences, write_glb
+from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME, GltfBuilder, strongest_influences, write_glb
 from physkin_core.look.cloth_look import cloth_colours
 from physkin_core.mesh.finishing import Finish
 from physkin_core.mesh.look import Look
@@ -31,7 +31,7 @@ from physkin_core.outfit.outfit import Outfit
 from physkin_core.pictures.picture import BODY_COLOUR
 from physkin_core.rig.rig import Rig
 
-__all__ = ["write_gltf_motion"]
+__all__ = ["AnimatedScene", "not_shown", "write_gltf_motion"]
 
 TOO_FAR = 0.005
 """[m] off from where the order of layers has a vertex: less is hardly ever seen."""
@@ -47,24 +47,25 @@ def write_gltf_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequ
     Raises OSError when it cannot be written.
     """
     clip = drape_clip(outfit, motion)
-    scene = _Scene(motion.name or path.stem, motion.times)
+    scene = AnimatedScene([({"name": motion.name or path.stem, "channels": [], "samplers": []}, motion.times)])
     root = scene.add_root(translation=motion.root_position[:, None], rotation=motion.root_orientation[:, None])
     scene.add_avatar(outfit.body_to_draw, outfit.rig, clip.bones, clip.body_shown, root, looks[0])
     colours = cloth_colours(outfit.garments)
     for garment, layer, colour, look in zip(clip.garments, outfit.layers, colours, looks[1:]):
         if garment.shown.any():
             own = None if look is None else look.of_faces(garment.shown, layer.faces)
-            scene.add_garment(garment, root, colour, own)
+            rest = garment.given.node_rest
+            scene.add_garment(garment, [root] * len(rest), colour, own, rest=rest)
     write_glb(path, scene.builder)
-    return [warning for garment in clip.garments for warning in _not_shown(garment)]
+    return [warning for garment in clip.garments for warning in not_shown(garment)]
 
 
-def _not_shown(garment: DrapedGarment) -> list[str]:
+def not_shown(garment: DrapedGarment) -> list[str]:
     """What a .glb cannot show of a garment, a sentence if anything."""
     if not garment.shown.any():
         return [f"{garment.name} is not in the file: it is covered in all frames"]
     lacking = garment.lacking.max(axis=1, initial=0)
-    if garment.morphs.turns is not None:
+    if garment.morphs.turns is not None and lacking.any():
         average = garment.lacking.sum() / (len(lacking) * len(garment.given.vertices))
         return [
             f"{garment.name} is {1000 * average:.2f} mm off on average, {1000 * lacking.max():.1f} mm at most, because "
@@ -79,23 +80,28 @@ def _not_shown(garment: DrapedGarment) -> list[str]:
     ]
 
 
-class _Scene(GltfScene):
-    """A scene with one animation. name: of the animation. times: (T,) [s]."""
+class AnimatedScene(GltfScene):
+    """A scene with animations. takes: each, new ones or those of builder's document, and its times [s]; their frames
+    follow one another in arrays, after `still` ones that belong to none."""
 
-    def __init__(self, name: str, times: np.ndarray) -> None:
-        super().__init__()
-        self._channels: list[dict] = []
-        self._samplers: list[dict] = []
-        animation = {"name": name, "channels": self._channels, "samplers": self._samplers}
-        self.builder.document["animations"] = [animation]
-        self._times = self.builder.add_accessor(times.astype(np.float32))
-        span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
-        self.builder.document["accessors"][self._times] |= span
+    def __init__(
+        self, takes: Sequence[tuple[dict, np.ndarray]], builder: GltfBuilder | None = None, *, still: int = 0
+    ) -> None:
+        super().__init__(builder)
+        self._takes: list[tuple[dict, int, slice]] = []
+        for animation, times in takes:
+            accessor = self.builder.add_accessor(times.astype(np.float32))
+            span = {"min": [float(np.float32(times[0]))], "max": [float(np.float32(times[-1]))]}
+            self.builder.document["accessors"][accessor] |= span
+            self._takes.append((animation, accessor, slice(still, still + len(times))))
+            still += len(times)
+        if builder is None:
+            self.builder.document["animations"] = [animation for animation, _ in takes]
 
     def add_root(self, **paths: np.ndarray) -> int:
         """What all else hangs on. paths: translation (T, 1, 3) [m] and rotation (T, 1, 4)."""
         self.roots.append(len(self.nodes))
-        self._add_joints(["root"], parent=None, **paths)
+        self._add_joints(["root"], parents=None, **paths)
         return self.roots[-1]
 
     def add_avatar(
@@ -114,7 +120,7 @@ class _Scene(GltfScene):
                 rotation, place = back @ rotation, np.einsum("tij,tj->ti", back, place - posed[:, parent])
             self._add_joints(
                 [name],
-                parent=first + parent if parent >= 0 else root,
+                parents=[first + parent if parent >= 0 else root],
                 rest=rest[None],
                 translation=place[:, None],
                 rotation=Rotation.from_matrix(rotation).as_quat()[:, None],
@@ -124,18 +130,22 @@ class _Scene(GltfScene):
         self.add_body(avatar, part, skin=self.add_skin("body", range(first, first + len(heads)), heads))
 
     def add_garment(
-        self, garment: DrapedGarment, root: int, colour: tuple[float, float, float], look: Look | None
+        self,
+        garment: DrapedGarment,
+        parents: Sequence[int],
+        colour: tuple[float, float, float],
+        look: Look | None,
+        rest: np.ndarray | None = None,
     ) -> None:
-        """A garment on its garment nodes. colour: sRGB, of what has no material."""
+        """A garment on its garment nodes. parents: (m,) nodes that these hang on. colour: sRGB, of what has no
+        material. rest: (m, 3) as of `_add_joints`."""
         name, bound = garment.name, garment.given
         chains = as_joint_chains(garment.node_transforms)
         names = [f"{name}_{node}" for node in range(len(bound.node_rest))]
         moved = {"translation": chains.translation, "rotation": chains.rotation, "scale": chains.scale}
-        outer = self._add_joints(names, parent=root, rest=bound.node_rest, **moved)
-        inner = []
-        for k, (each, joint) in enumerate(zip(names, outer)):
-            turn = chains.inner_rotation[:, [k]]
-            inner += self._add_joints([f"{each}_inner"], parent=joint, rest=np.zeros((1, 3)), rotation=turn)
+        outer = self._add_joints(names, parents=parents, rest=rest, **moved)
+        names, rest = [f"{each}_inner" for each in names], None if rest is None else np.zeros_like(rest)
+        inner = self._add_joints(names, parents=outer, rest=rest, rotation=chains.inner_rotation)
         skin = self.add_skin(name, inner, bound.node_rest)
         joints, weights = strongest_influences(bound.influence_nodes, bound.influence_weights)
         cloud = np.concatenate([bound.vertices, unit(bound.normals)], axis=1)
@@ -147,13 +157,18 @@ class _Scene(GltfScene):
             influences = {"JOINTS_0": joints[vertices], "WEIGHTS_0": weights[vertices]}
             self.add_mesh(part, part.on(cloud), attributes=influences, morphs=changes, skin=skin)
             if changes is not None:
-                self._animate(len(self.nodes) - 1, "weights", changes.weights.astype(np.float32).reshape(-1))
+                self._animate(len(self.nodes) - 1, "weights", changes.weights.astype(np.float32))
 
     def _add_joints(
-        self, names: Sequence[str], *, parent: int | None, rest: np.ndarray | None = None, **paths: np.ndarray
+        self,
+        names: Sequence[str],
+        *,
+        parents: Sequence[int] | None,
+        rest: np.ndarray | None = None,
+        **paths: np.ndarray,
     ) -> list[int]:
-        """Nodes with arrays (T, j, width) of what moves them. rest: (j, 3) where in their parent they are, unturned,
-        when nothing does; default where they are in the first frame.
+        """Nodes with arrays (T, j, width) of what moves them. parents: (j,) or none. rest: (j, 3) where in their parent
+        they are, unturned, when nothing does; default where they are in the first frame.
 
         Blender skins a mesh to the joints at rest and from there to the motion. That is the same as at once only if
         they rest where the mesh was bound.
@@ -168,15 +183,18 @@ class _Scene(GltfScene):
                 if rest is None:
                     node[path] = moved[0].tolist()
                 self._animate(len(self.nodes), path, moved)
-            if parent is not None:
-                self.nodes[parent].setdefault("children", []).append(len(self.nodes))
+            if parents is not None:
+                self.nodes[parents[joint]].setdefault("children", []).append(len(self.nodes))
             self.nodes.append(node)
         return list(range(first, len(self.nodes)))
 
     def _animate(self, node: int, path: str, values: np.ndarray) -> None:
-        """values: float32, those of each frame after those of the last."""
-        self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
-        self._samplers.append({"input": self._times, "output": self.builder.add_accessor(values)})
+        """values: (T, width) float32."""
+        for animation, times, frames in self._takes:
+            output = self.builder.add_accessor(values[frames].reshape(-1) if path == "weights" else values[frames])
+            channel = {"sampler": len(animation["samplers"]), "target": {"node": node, "path": path}}
+            animation["channels"].append(channel)
+            animation["samplers"].append({"input": times, "output": output})
 
 
 def _finished(morphs: MorphTargets, finish: Finish) -> MorphTargets:

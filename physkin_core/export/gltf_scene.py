@@ -28,17 +28,19 @@ def in_gltf_frame(vectors: np.ndarray) -> np.ndarray:
 
 
 class GltfScene:
-    """nodes, meshes: of the document. roots: indices of nodes that hang on nothing."""
+    """nodes, meshes: of the document. roots: indices of nodes of the scene that hang on nothing. builder: of a document
+    with a scene to add to; default a new one."""
 
-    def __init__(self) -> None:
-        self.builder = GltfBuilder({"generator": "PhySkin"})
-        self.nodes: list[dict] = []
-        self.meshes: list[dict] = []
-        self.roots: list[int] = []
-        self._materials: list[dict] = []
-        self._pictures: list[Picture] = []
-        scene = {"scene": 0, "scenes": [{"nodes": self.roots}], "nodes": self.nodes, "meshes": self.meshes}
-        self.builder.document |= {**scene, "materials": self._materials}
+    def __init__(self, builder: GltfBuilder | None = None) -> None:
+        new = {"scene": 0, "scenes": [{"nodes": []}]}
+        self.builder = builder or GltfBuilder({"generator": "PhySkin"})
+        document = self.builder.document = (new if builder is None else {}) | self.builder.document
+        lists = ("nodes", "meshes", "materials", "images", "textures")
+        self.nodes, self.meshes, self._materials, images, textures = (document.get(key) or [] for key in lists)
+        document |= {"nodes": self.nodes, "meshes": self.meshes, "materials": self._materials}
+        self.roots: list[int] = document["scenes"][document.get("scene") or 0].setdefault("nodes", [])
+        self._images, self._textures = images, textures
+        self._pictures: dict[Picture, int] = {}
 
     def add_mesh(
         self,
@@ -129,14 +131,13 @@ class GltfScene:
 
     def _texture_of(self, picture: Picture, repeats: tuple[float, float]) -> dict:
         """What a material says of it. glTF has the origin of texture coordinates at the upper left."""
-        document = self.builder.document
         if picture not in self._pictures:
             view = self.builder.add_view(np.frombuffer(picture.content, dtype=np.uint8))
-            image = {"name": picture.name, "mimeType": picture.kind, "bufferView": view}
-            document.setdefault("images", []).append(image)
-            document.setdefault("textures", []).append({"source": len(self._pictures)})
-            self._pictures.append(picture)
-        texture = {"index": self._pictures.index(picture)}
+            self._pictures[picture] = len(self._textures)
+            self._textures.append({"source": len(self._images)})
+            self._images.append({"name": picture.name, "mimeType": picture.kind, "bufferView": view})
+            self.builder.document |= {"images": self._images, "textures": self._textures}
+        texture = {"index": self._pictures[picture]}
         if repeats == (1.0, 1.0):
             return texture
         scale = {"scale": list(repeats), "offset": [0.0, 1.0 - repeats[1]]}

@@ -59,17 +59,17 @@ def unskinned(rest: np.ndarray, matrices: np.ndarray, wanted: np.ndarray) -> np.
     return added
 
 
-def in_few_targets(added: np.ndarray) -> tuple[MorphTargets, np.ndarray, np.ndarray]:
-    """As few targets as come close to what is added to vertices in all frames, (T, v, 3), as of `unskinned`; besides
-    them an offset (u, 3) at rest; and what is still lacking, (T, u, 3). Targets are principal components of what is not
-    the mean."""
+def in_few_targets(added: np.ndarray, share: int = 1) -> tuple[MorphTargets, np.ndarray, np.ndarray]:
+    """As few targets, at most `share` times `MOST_TARGETS`, as come close to what is added to vertices in all frames,
+    (T, v, 3), as of `unskinned`; besides them an offset (u, 3) at rest; and what is still lacking, (T, u, 3). Targets
+    are principal components of what is not the mean."""
     moved = np.flatnonzero(added.any(axis=(0, 2)))
     added = added[:, moved]
     mean = added.mean(axis=0)
     lacking = added - mean
     flat = lacking.reshape(len(added), -1)
     amounts = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]  # frames are fewer than coordinates
-    count, directions = 0, np.empty((min(MOST_TARGETS, len(added)), *mean.shape))
+    count, directions = 0, np.empty((min(share * MOST_TARGETS, len(added)), *mean.shape))
     while count < len(directions) and np.linalg.norm(lacking, axis=2).max(initial=0) > ENOUGH:
         directions[count] = np.tensordot(amounts[:, count], lacking, 1)
         lacking -= amounts[:, count, None, None] * directions[count]

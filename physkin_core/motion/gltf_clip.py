@@ -6,6 +6,7 @@ Dimensions: `T` frames, `J` joints, `K` keys of a channel.
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from physkin_core.formats.gltf_file import (
 from physkin_core.formats.gltf_joints import humanoid_nodes, with_nodes_above
 from physkin_core.motion.source_clip import MOST_PLACES, RATE_HZ, SourceClip, check_clip_size
 
-__all__ = ["gltf_clip_names", "read_gltf_clip", "the_clip"]
+__all__ = ["GltfClip", "gltf_clip_names", "read_gltf_clip", "the_clip"]
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +64,32 @@ class _Channel:
         return (turn * Rotation.from_rotvec(u * (turn.inv() * rotations_of(second[:, 0])).as_rotvec())).as_quat()
 
 
+class GltfClip:
+    """How an animation moves the nodes of a file. Raises ContentError.
+
+    start, end: [s] of its keys. rate_hz: of these, `SLOWEST_HZ` to `RATE_HZ`. moved: nodes; none where it only changes
+    morph weights.
+    """
+
+    def __init__(self, file: GltfFile, animation: GltfEntry) -> None:
+        self._file, self._channels = file, _channels(file, animation)
+        self.moved = set(self._channels)
+        times = [channel.times for its in self._channels.values() for channel in its.values()] or [np.zeros(1)]
+        self.start, self.end = float(min(each[0] for each in times)), float(max(each[-1] for each in times))
+        steps = np.concatenate([np.diff(each) for each in times])
+        self.rate_hz = (
+            float(np.clip(1 / max(np.median(steps), 1e-6), SLOWEST_HZ, RATE_HZ)) if len(steps) else SLOWEST_HZ
+        )
+
+    def worlds(self, nodes: Sequence[int], seconds: np.ndarray) -> Iterator[np.ndarray]:
+        """(T, 4, 4) from each node to the scene at times (T,). nodes: with all that they hang on, parents first."""
+        found = {-1: np.eye(4)}
+        for node in nodes:
+            local = _posed(self._file.nodes[node], self._channels.get(node, {}), seconds)
+            found[node] = found[int(self._file.node_parents[node])] @ local
+            yield found[node]
+
+
 def gltf_clip_names(file: GltfFile) -> list[str]:
     """Names of a file's clips; their numbers from 1 where they have none. Raises ContentError."""
     return [clip.text("name") or str(number) for number, clip in enumerate(file.document.entries("animations"), 1)]
@@ -74,33 +101,28 @@ def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     Joints are those of skins and of the humanoid, or what moves where there are none, and all that they hang on. At
     rest they are in the skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError.
     """
-    channels = _channels(file, animation)
+    motion = GltfClip(file, animation)
+    if not motion.moved:
+        raise ContentError(f"{animation.where} moves no node; choose another clip")
     humanoid, skins = humanoid_nodes(file) or {}, read_skins(file, range(file.document.count("skins")))
-    joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or set(channels)
+    joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or motion.moved
     nodes = with_nodes_above(file, joints)
     number = {node: joint for joint, node in enumerate(nodes)}
-    times = [channel.times for its in channels.values() for channel in its.values()]
-    start, end = min(each[0] for each in times), max(each[-1] for each in times)
-    steps = np.concatenate([np.diff(each) for each in times])
-    rate_hz = float(np.clip(1 / np.maximum(np.median(steps), 1e-6), SLOWEST_HZ, RATE_HZ)) if len(steps) else SLOWEST_HZ
-    count = 1 + round(float(end - start) * rate_hz)
-    check_clip_size(count, len(nodes), rate_hz)
+    count = 1 + round((motion.end - motion.start) * motion.rate_hz)
+    check_clip_size(count, len(nodes), motion.rate_hz)
     bind = bind_worlds(file, skins)[nodes]
     undone = np.linalg.pinv(bind[:, :3, :3])
     quaternions, places = np.empty((count, len(nodes), 4)), np.empty((count, len(nodes), 3))
     for frames in np.array_split(np.arange(count), -(-count // BLOCK)):
-        worlds = {-1: np.eye(4)}
-        for joint, node in enumerate(nodes):
-            local = _posed(file.nodes[node], channels.get(node, {}), start + frames / rate_hz)
-            worlds[node] = worlds[int(file.node_parents[node])] @ local
-            turned = worlds[node][:, :3, :3] @ undone[joint]
+        for joint, world in enumerate(motion.worlds(nodes, motion.start + frames / motion.rate_hz)):
+            turned = world[:, :3, :3] @ undone[joint]
             turned[np.linalg.det(turned) < 1e-9] = np.eye(3)  # scaled to nothing, to hide what hangs there
             quaternions[frames, joint] = Rotation.from_matrix(turned).as_quat()
-            places[frames, joint] = worlds[node][:, :3, 3]
+            places[frames, joint] = world[:, :3, 3]
     names = tuple(file.nodes[node].text("name") or f"node {node}" for node in nodes)
     parents = np.array([number.get(int(file.node_parents[node]), -1) for node in nodes])
     by_bone = {bone: number[node] for bone, node in humanoid.items()} or None
-    return SourceClip(names, parents, bind[:, :3, 3], quaternions, places, rate_hz, by_bone)
+    return SourceClip(names, parents, bind[:, :3, 3], quaternions, places, motion.rate_hz, by_bone)
 
 
 def the_clip(file: GltfFile, clip: str) -> GltfEntry:
@@ -138,8 +160,6 @@ def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Chan
         if not rising or values.size != np.prod(shape) or not np.isfinite(values).all() or not np.isfinite(times).all():
             raise ContentError(f"{sampler.where} needs rising times and {shown(shape)} finite values; export it again")
         found.setdefault(node, {})[part] = _Channel(times[:, 0], values.reshape(shape), how == "STEP")
-    if not found:
-        raise ContentError(f"{animation.where} moves no node; choose another clip")
     return found
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physkin_core.progress import Watch
 from physkin_core.rig.rig import Rig
 
 __all__ = ["PoseSolver"]
@@ -18,6 +19,8 @@ PULL = 0.03  # towards the canonical pose [1/rad]; a bone's axis counts its leng
 SMOOTHING = 0.3  # towards the mean of the frames before and after [1/rad]
 MAX_STEP = 0.4  # [rad] a step
 BLOCK = 128  # frames solved together: bounds the memory
+STRIDE = 4  # frames of a clip that is solved first, which is faster and smoother
+ITERATIONS = 30, 15  # of these, and then of all frames
 
 
 class PoseSolver:
@@ -29,6 +32,7 @@ class PoseSolver:
     """
 
     def __init__(self, rig: Rig, bones: Sequence[int], axes: np.ndarray, *, still: tuple[str, ...] = ()) -> None:
+        self._rig = rig
         self.dofs: list[int] = []
         self._parents: list[int] = []  # the turn before on the way from the root, -1 for none
         last = {-1: -1}  # the last turn that moves a bone
@@ -51,6 +55,19 @@ class PoseSolver:
         self._moves = self._below[self._followers].T.astype(np.float64)  # (n, k)
         first = self._below.argmax(axis=1)
         self._groups = [np.flatnonzero(first == root) for root in np.unique(first)]  # no two share a turn
+
+    def solve(self, targets: np.ndarray, watch: Watch = lambda share: None) -> np.ndarray:
+        """Positions (T, d) [rad] of the rig, from rest, for targets (T, k, 3, 3) of the axes. watch: told the share
+        done, 0 to 1, after every iteration."""
+        found = np.tile(np.clip(self._rig.rest, self._rig.lower, self._rig.upper), (len(targets), 1))
+        frames, here = np.arange(len(targets)), found[::STRIDE, self.dofs]
+        for done in range(sum(ITERATIONS)):
+            if done == ITERATIONS[0]:
+                here = np.stack([np.interp(frames, frames[::STRIDE], turn) for turn in here.T], axis=1)
+            here = self.step(targets[::STRIDE] if done < ITERATIONS[0] else targets, here)
+            watch((done + 1) / sum(ITERATIONS))
+        found[:, self.dofs] = here
+        return found
 
     def step(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Positions (T, n) [rad] one step nearer to where the axes should be, targets (T, k, 3, 3)."""

@@ -39,8 +39,6 @@ UNUSED_BONES = ("wrist",)  # files do not agree on how palms lie at rest
 
 HINGE_SHARE = 0.3  # how much a limb's hinge axis counts beside its direction
 FOOT_SHARE = 0.15  # the rig's ankle does not turn about the shin: its foot must not drag the leg along
-STRIDE = 4  # frames of a clip that is solved first, which is faster and smoother
-ITERATIONS = 30, 15  # of these, and then of all frames
 BLOCK = 128  # frames posed together: bounds the memory
 
 
@@ -63,15 +61,7 @@ def retarget(
     still = UNUSED_BONES if "clavicle.L" in rotations else (*UNUSED_BONES, "clavicle")
     solver = PoseSolver(rig, bones, axes, still=still)
 
-    q = np.tile(np.clip(rig.rest, rig.lower, rig.upper), (len(targets), 1))
-    frames = np.arange(len(targets))
-    here = q[::STRIDE, solver.dofs]
-    for done in range(sum(ITERATIONS)):
-        if done == ITERATIONS[0]:
-            here = np.stack([np.interp(frames, frames[::STRIDE], turn) for turn in here.T], axis=1)
-        here = solver.step(targets[::STRIDE] if done < ITERATIONS[0] else targets, here)
-        watch((done + 1) / sum(ITERATIONS))
-    q[:, solver.dofs] = here
+    q = solver.solve(targets, watch)
     turned = np.concatenate([rig.bone_transforms(part)[:, bones, :, :3] for part in _parts(q)]) @ axes
     report = {}
     for k, (bone, limb) in enumerate(followers.values()):

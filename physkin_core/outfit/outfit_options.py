@@ -153,18 +153,21 @@ def chosen_avatar(options: argparse.Namespace, rig: Rig) -> Avatar:
     return load_avatar(file, rig, rig_file=options.rig, bones=None if file == BUNDLED_AVATAR else options.bones)
 
 
-def dressed(options: argparse.Namespace, *, for_engines: bool = False, whole: bool = False) -> Outfit:
+def dressed(
+    options: argparse.Namespace, *, for_engines: bool = False, whole: bool = False, avatar: Avatar | None = None
+) -> Outfit:
     """The garments on the avatar, as the options have them; prints what was assumed, and how garments sit if not well.
 
     whole: with what cannot be seen, as what is worn over it can be taken off. for_engines: whole, and where there is no
-    detail with the skinning weights that engines take. Raises as `chosen_garments`, `load_avatar` and `Outfit`.
+    detail with the skinning weights that engines take. avatar: default that of the options.
+    Raises as `chosen_garments`, `load_avatar` and `Outfit`.
     """
     garments = chosen_garments(options.garment, options.tucked)
     if for_engines:
         garments = [
             replace(each, model=each.model.for_engines()) if each.model.detail is None else each for each in garments
         ]
-    avatar = chosen_avatar(options, garments[0].model.rig)
+    avatar = avatar or chosen_avatar(options, garments[0].model.rig)
     hide_covered, own_clothes = not (for_engines or whole), getattr(options, "own_clothes", OWN_CLOTHES[0])
     outfit = Outfit(garments, avatar, fit=options.fit, hide_covered=hide_covered, own_clothes=own_clothes)
     outfit.sway, outfit.wind = getattr(options, "sway", outfit.sway), getattr(options, "wind", outfit.wind)
