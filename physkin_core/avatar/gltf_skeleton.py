@@ -31,8 +31,6 @@ SAME_POSE = 1e-3
 UNLIKE_LENGTHS = 1.5
 """Poses turn bones and leave their lengths: inverse bind matrices by which the length of a limb segment differs by this
 factor from that between nodes, the median of all being one, are not those of a pose."""
-SAME_LENGTH = 0.05
-"""Share of its length by which a bone between joints of two skins that share mesh space may differ between poses."""
 STANDS = 0.5
 """Least cosine between a thigh or shin and the way from shoulders to hips of somebody who stands."""
 AS_LARGE = 0.9
@@ -101,6 +99,8 @@ def find_skeleton(
     joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
     worn, left_out = dict(chosen.skins), []
     for other in figures:
+        if other is not chosen and other.human.missing:
+            other.join_space(file, chosen)
         carriers = None if other is chosen else chosen.carriers_of(other)
         if carriers is not None:
             worn |= other.skins
@@ -139,6 +139,22 @@ class _Figure:
             self._take_bind_pose(bind_worlds(file, skins))
         self.heads = self.worlds[self.nodes][:, :3, 3]
         self.extent = float(np.ptp(self.heads, axis=0).max(initial=0.0))
+
+    def join_space(self, file: GltfFile, figure: _Figure) -> None:
+        """Lie as if bound in another figure's mesh space, where that is as near to it: most skins of a file share one,
+        and nodes, by which spaces are told apart, may be held in another pose."""
+        from scipy.spatial import cKDTree
+
+        first = next(iter(figure.skins.values()))
+        if not first.given or figure.worlds is file.node_worlds or not all(skin.given for skin in self.skins.values()):
+            return
+        worlds = file.node_worlds.copy()
+        for node, world in _bound_worlds(file, *self.skins.values(), to_scene=_to_scene(file, first)).items():
+            worlds[node] = world
+        around, own = cKDTree(figure.heads), list(self.joints)
+        there, here = (np.median(around.query(each[own][:, :3, 3])[0]) for each in (worlds, self.worlds))
+        if there <= here + SAME_POSE * figure.extent:
+            self.worlds, self.heads = worlds, worlds[self.nodes][:, :3, 3]
 
     def carriers_of(self, other: _Figure) -> np.ndarray | None:
         """Which of this figure's joints each of another's (n,) moves with; None where it is a figure of its own or far.
@@ -255,10 +271,14 @@ def bind_worlds(file: GltfFile, skins: Mapping[int, GltfSkin]) -> np.ndarray:
     return worlds
 
 
-def _bound_worlds(file: GltfFile, first: GltfSkin, *others: GltfSkin) -> dict[int, np.ndarray]:
-    """As `bind_worlds`, by node, of skins that hang together and of what hangs on their joints, or carries them."""
+def _bound_worlds(
+    file: GltfFile, first: GltfSkin, *others: GltfSkin, to_scene: np.ndarray | None = None
+) -> dict[int, np.ndarray]:
+    """As `bind_worlds`, by node, of skins that hang together and of what hangs on their joints, or carries them.
+    to_scene: (4, 4) from the first one's mesh space; default as `_to_scene`."""
     found: dict[int, np.ndarray] = {}
-    parents, to_scene = file.node_parents, _to_scene(file, first)
+    parents, to_scene = file.node_parents, _to_scene(file, first) if to_scene is None else to_scene
+    shares_space = {id(skin): _shares_space(file, skin, first) for skin in others}
 
     def world_of(node: int) -> np.ndarray | None:
         if node in first.place:
@@ -269,16 +289,10 @@ def _bound_worlds(file: GltfFile, first: GltfSkin, *others: GltfSkin) -> dict[in
             anchor = next((each for each in above if each in found and each in skin.place), None)
             if anchor is not None:
                 return found[anchor] @ skin.inverse_binds[skin.place[anchor]] @ skin.binds[skin.place[node]]
-        parent = found.get(int(parents[node]))
-        if parent is None:
+        if (parent := found.get(int(parents[node]))) is None:
             return None
-        world = parent @ file.node_locals[node]
-        length = np.linalg.norm(world[:3, 3] - parent[:3, 3])
-        for skin in binding:  # most share one mesh space
-            shared = to_scene @ skin.binds[skin.place[node]]
-            if abs(np.linalg.norm(shared[:3, 3] - parent[:3, 3]) - length) < SAME_LENGTH * length:
-                return shared
-        return world
+        in_space = next((skin for skin in binding if shares_space[id(skin)]), None)
+        return parent @ file.node_locals[node] if in_space is None else to_scene @ in_space.binds[in_space.place[node]]
 
     def follow() -> None:
         for node in file.node_order:
@@ -295,6 +309,24 @@ def _bound_worlds(file: GltfFile, first: GltfSkin, *others: GltfSkin) -> dict[in
             below.setdefault(int(parents[node]), []).append(found[node] @ np.linalg.pinv(file.node_locals[node]))
     follow()
     return found
+
+
+def _shares_space(file: GltfFile, skin: GltfSkin, first: GltfSkin) -> bool:
+    """Whether a skin's inverse bind matrices are of the first one's mesh space, as most are: its joints then lie where
+    the first one's do, at least as near as where nodes have them, which may be held in another pose."""
+    from scipy.spatial import cKDTree
+
+    above = {k: [each for each in ancestors(file.node_parents, k) if each in first.place] for k in skin.place}
+    hang = {joint: each[0] for joint, each in above.items() if each}
+    if not hang:
+        return False
+    carriers, joints = list(hang.values()), list(hang)
+    bound = skin.binds[[skin.place[joint] for joint in joints]][:, :3, 3]
+    seen = np.linalg.pinv(file.node_worlds[carriers]) @ file.node_worlds[joints]
+    held = (first.binds[[first.place[each] for each in carriers]] @ seen)[:, :3, 3]
+    around = cKDTree(first.binds[list(first.place.values())][:, :3, 3])
+    bound_apart, held_apart = (float(np.median(around.query(at)[0])) for at in (bound, held))
+    return bound_apart <= held_apart + SAME_POSE * float(np.ptp(around.data, axis=0).max())
 
 
 def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:
