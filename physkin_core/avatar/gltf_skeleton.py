@@ -96,6 +96,7 @@ def find_skeleton(
     figures = [_Figure(file, group, rig, humanoid) for group in groups]
     people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
     people = people or [figure for figure in figures if drawing[0] in figure.skins]
+    people = [figure for figure in people if _stands(figure.human, figure.heads)] or people  # no horse
     largest = max(figure.extent for figure in people)
     chosen = next(figure for figure in people if figure.extent >= AS_LARGE * largest)
     joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()

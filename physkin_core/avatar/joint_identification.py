@@ -24,8 +24,9 @@ __all__ = ["identify_bones"]
 SHARE_OF_SKIN = {"arm": 0.58, "leg": 0.84}
 """Elbow to wrist over elbow to fingertips; knee to ankle over knee to sole."""
 ROUNDS = 3
-TOES = 0.05
-"""Share of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right."""
+TOES, BACKWARDS = 0.05, 0.15
+"""Shares of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right, and
+behind them to say otherwise than names."""
 
 
 def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None) -> tuple[SkinnedMesh, HumanSkeleton]:
@@ -40,10 +41,11 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None)
     by_hand = read_bones_file(bones, Path(mesh.source), rig.bone_names, mesh.joint_names)
     said = {"humanoid": mesh.humanoid, "by_hand": by_hand}
     skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, **said)
-    if not skeleton.sides_told and not skeleton.missing:
+    if not skeleton.missing and not by_hand:
         left = _left_by_feet(mesh, skeleton.joints)
-        if left < -TOES:
-            skeleton = skeleton.mirrored()
+        if left < -(BACKWARDS if skeleton.sides_told else TOES):
+            said = "by its feet it faces the other way than by its names: left and right are exchanged"
+            skeleton = replace(skeleton.mirrored(), doubt=said if skeleton.sides_told else "")
         elif left > TOES:
             skeleton = replace(skeleton, doubt="")
     longer, added = _with_limb_ends(mesh, skeleton.joints)
