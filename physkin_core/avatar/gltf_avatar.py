@@ -87,7 +87,8 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
             counts[skin] += len(drawn.positions)
     skeleton = find_skeleton(file, counts, rig, humanoid)
     warnings = [*_mended(file, humanoid or {}), *skeleton.warnings]
-    coarse = coarse_copies([drawn for drawn, skin in skinned if skin in skeleton.skins])
+    names = [node.text("name") or "" for node in file.nodes]
+    coarse = coarse_copies([drawn for drawn, skin in skinned if skin in skeleton.skins], names)
     if coarse:
         called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
         warnings.append(f"these meshes draw again what others draw finer: {called}; left out")
