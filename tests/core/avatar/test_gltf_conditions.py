@@ -191,6 +191,46 @@ def test_a_mirrored_figure_faces_where_its_feet_point(tmp_path, axis):
     assert toes > avatar.bone_heads[RIG.bone_index("foot.L"), 0]
 
 
+def rigid_document(*, turned=0.0):
+    """The person cut up into parts without a skin, each a mesh of its bone's node. turned: left upper arm [radians]."""
+    builder = person_document()
+    document, primitive = builder.document, primitive_of(builder)
+    strongest = PERSON.influence_bones[np.arange(len(PERSON.vertices)), PERSON.influence_weights.argmax(axis=1)]
+    nodes = {node["name"]: node for node in document["nodes"]}
+    document["meshes"] = []
+    for bone, name in enumerate(RIG.bone_names):
+        faces = PERSON.faces[strongest[PERSON.faces[:, 0]] == bone]
+        if len(faces):
+            at = (PERSON.vertices - PERSON.bone_heads[bone])[:, [1, 2, 0]].astype(np.float32)
+            indices = builder.add_accessor(faces.astype(np.uint16).reshape(-1))
+            part = {**primitive, "attributes": {"POSITION": builder.add_accessor(at)}, "indices": indices}
+            document["meshes"].append({"primitives": [part]})
+            nodes[name]["mesh"] = len(document["meshes"]) - 1
+    del document["skins"], document["nodes"][-1]
+    document["scenes"][0]["nodes"].pop()
+    nodes["upperarm01.L"]["rotation"] = [0.0, 0.0, np.sin(turned / 2), np.cos(turned / 2)]
+    return builder
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.2])
+def test_rigid_parts_move_with_their_nodes(tmp_path, turned):
+    """As a robot's do, in any pose. Cut edges are in both parts; a raised arm gapes there when it is lowered."""
+    avatar = load_document(tmp_path, rigid_document(turned=turned))
+    assert len(avatar.faces) == len(PERSON.faces)
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < (0.1 if turned == 0 else 5)
+    off = 1000 * cKDTree(PERSON.vertices).query(avatar.vertices)[0]
+    assert off.max() < 0.1 if turned == 0 else off.mean() < 2
+    assert not any("no skeleton" in said for said in avatar.warnings)
+
+
+def test_a_mesh_that_lost_its_skin_is_a_plain_mesh(tmp_path):
+    """Joints that carry nothing do not count: a skeleton is fitted."""
+    builder = person_document()
+    del builder.document["skins"], builder.document["nodes"][-1]["skin"]
+    avatar = load_document(tmp_path, builder)
+    assert any("no skeleton in the file" in said for said in avatar.warnings)
+
+
 def test_the_nodes_morph_weights_win(tmp_path):
     """Over the mesh's, as glTF says; here these are all zero."""
     builder = person_document()
