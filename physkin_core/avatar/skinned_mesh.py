@@ -105,7 +105,7 @@ def clean_surface(
     surface: Surface, attributes: Sequence[np.ndarray], source: str
 ) -> tuple[Surface, tuple[np.ndarray, ...], np.ndarray]:
     """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices, empty faces and
-    faces that their part has already, as the insides of a body are that is to be seen from both sides.
+    faces that are there already: in their part, or the other way round, as of a body that is to be seen from inside.
 
     attributes: arrays (V, ...) that must be equal, too, for vertices to be welded. The order of what remains is kept;
     the last result tells which faces (f,) do. Raises AvatarError on no faces, NaN or an index out of range.
@@ -117,9 +117,10 @@ def clean_surface(
         raise AvatarError(f"avatar {source}: {fault}")
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
     faces = _first_of_its_kind(key + 0.0)[faces]
-    corners = np.sort(faces, axis=1)
+    corners, wound = np.sort(faces, axis=1), (faces < np.roll(faces, -1, axis=1)).sum(axis=1)
     own = corners if surface.face_parts is None else np.column_stack([corners, surface.face_parts])
     kept = (np.diff(corners) > 0).all(axis=1) & (_first_of_its_kind(own) == np.arange(len(faces)))
+    kept &= wound == wound[_first_of_its_kind(corners)]
     used, faces = np.unique(faces[kept], return_inverse=True)
     if len(used) == 0:
         raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
