@@ -9,6 +9,7 @@ import trimesh
 from gltf_person import (
     PERSON,
     RIG,
+    add_part,
     distances,
     faces_on,
     load_document,
@@ -163,6 +164,28 @@ def test_a_body_that_is_drawn_from_both_sides_is_one_body(tmp_path, shared):
     avatar = load_document(tmp_path, builder)
     assert_is_the_person(avatar)
     np.testing.assert_array_equal(avatar.faces, PERSON.faces)
+
+
+def test_a_body_whose_inside_has_a_material_is_one_body(tmp_path):
+    builder = person_document()
+    indices = builder.add_accessor(PERSON.faces[:, ::-1].astype(np.uint16).reshape(-1))
+    builder.document["materials"] = [{"name": "front"}, {"name": "back"}]
+    inside = {**primitive_of(builder), "indices": indices, "material": 1}
+    primitive_of(builder)["material"] = 0
+    builder.document["meshes"][0]["primitives"].append(inside)
+    avatar = load_document(tmp_path, builder)
+    assert_is_the_person(avatar)
+    np.testing.assert_array_equal(avatar.faces, PERSON.faces)
+
+
+def test_nameless_clothes_over_a_whole_body_are_worn_already(tmp_path):
+    """There is room for the surface of a stout body, but they lie over what skin there is."""
+    builder = person_document()
+    shirt = faces_on("spine", "root", "clavicle", "shoulder", "upperarm")
+    add_part(builder, "", shirt, offset=0.012)
+    avatar = load_document(tmp_path, builder)
+    assert len(avatar.clothes) == 1 and len(avatar.clothes[0].faces) == len(shirt)
+    assert distances(avatar.vertices[: len(PERSON.vertices)], PERSON.vertices).max() < 0.1
 
 
 def test_vertices_that_no_face_uses_may_be_anywhere(tmp_path):
