@@ -44,7 +44,8 @@ def with_appendages_apart(
 
     joint_bones: (j,) bone of each joint. heads, tails: (b, 3) of the bones. scale: size of the skeleton over the rig's.
     """
-    if rig.bone_names != load_body_model().rig.bone_names:
+    rigid = mesh.influence_weights.shape[1] == 1  # parts of a robot have any shape
+    if rigid or rig.bone_names != load_body_model().rig.bone_names:
         return mesh
     strongest = strongest_influence(mesh.influence_joints, mesh.influence_weights)
     bones = joint_bones[strongest]

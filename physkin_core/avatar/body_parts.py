@@ -44,7 +44,7 @@ APPENDAGE = "appendage"
 WORDS = {
     ACCESSORY: "hair bang ponytail eye eyebrow eyelash iris pupil cornea lash brow teeth tooth tongue gum mouth beard "
     "moustache mustache glass glasses eyewear goggle hat cap helmet headwear horn tail wing weapon sword bag backpack "
-    f"jewel earring necklace ring helper {APPENDAGE}",
+    f"jewel earring necklace ring helper outline collider collision hitbox {APPENDAGE}",
     CLOTHES: "cloth clothing outfit top bottom shirt tshirt blouse sweater hoodie jacket coat vest suit dress skirt "
     "pant trouser jean short legging sock stocking shoe boot sneaker footwear sandal glove scarf tie belt underwear "
     "bra uniform kimono robe onepiece",
@@ -53,8 +53,8 @@ WORDS = {
 """What the words in a part's names say that it is, the first that is found."""
 FREE_BONES = "neck01", "wrist", "foot"
 """Where parts begin that garments leave free: what is worn there is shown with hair and the like."""
-NEVER_SHOWN = {"helper", "cornea"}
-"""Accessories that pictures show better without: helpers and clear shells."""
+NEVER_SHOWN = {"helper", "cornea", "outline", "collider", "collision", "hitbox"}
+"""Accessories that pictures show better without: helpers, clear shells and those turned inwards."""
 PAINTED_ON_CARDS = {"lash", "eyelash", "brow", "eyebrow"}
 """What is shown only where its material says that one sees through the card that it is painted on."""
 OVER, OVER_POINTS = 0.002, 500
@@ -122,7 +122,10 @@ def split_body(mesh: SkinnedMesh, joint_bones: np.ndarray, rig: Rig, *, scale: f
     kinds = np.array([kind_of_part(names) for names in mesh.part_names])
     free = np.bincount(mesh.face_parts, face_area * free_bones(rig)[bones], len(areas)) > areas.sum(axis=1) / 2
     worn = (kinds == CLOTHES) & ~free & _skin_can_stand_in(rig, kinds)
-    taken = _taken(areas * ~worn[:, None], kinds, scale**2 * _usual_areas(rig)) & ~worn
+    unworn, usual = areas * ~worn[:, None], scale**2 * _usual_areas(rig)
+    taken = _taken(unworn, kinds, usual, LARGEST_BODY) & ~worn
+    doubtful = taken & (kinds == UNKNOWN) & ~free & ~_taken(unworn, kinds, usual, 1.0)
+    taken[doubtful] = [not _lies_over(mesh, part, taken & ~doubtful) for part in np.flatnonzero(doubtful)]
     if taken.all() and not (kinds == CLOTHES).any():
         return BodyParts(mesh)
     over = ~taken & (kinds == UNKNOWN) & ~free & (areas.sum(axis=1) > 0)
@@ -178,11 +181,12 @@ def _is_shown(names: Sequence[str], clear: bool) -> bool:
     return not any(MARKED_JOINT.match(name) or hidden & _forms(name) for name in names)
 
 
-def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """(k,) which parts are body. areas: (k, r) [m2]. usual: (r,) [m2] of a body without clothes."""
+def _taken(areas: np.ndarray, kinds: np.ndarray, usual: np.ndarray, largest: float) -> np.ndarray:
+    """(k,) which parts are body. areas: (k, r) [m2]. usual: (r,) [m2] of a body without clothes, which has `largest`
+    times that at most."""
     taken, filled = np.zeros(len(areas), dtype=bool), np.zeros_like(usual)
     for part in np.lexsort((-areas.sum(axis=1), kinds)):
-        full = usual if kinds[part] == CLOTHES else LARGEST_BODY * usual
+        full = usual if kinds[part] == CLOTHES else largest * usual
         room = np.minimum(areas[part], np.maximum(full - filled, 0)).sum()
         if kinds[part] == BODY or (kinds[part] != ACCESSORY and room >= NEEDED * areas[part].sum()):
             taken[part] = True

@@ -16,7 +16,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.gltf_copies import coarse_copies
-from physkin_core.avatar.gltf_skeleton import GltfSkeleton, find_skeleton
+from physkin_core.avatar.gltf_skeleton import GltfSkeleton, find_skeleton, rigid_skeleton
 from physkin_core.avatar.mesh_avatar import retarget_plain_mesh
 from physkin_core.avatar.retargeting import retarget
 from physkin_core.avatar.skinned_mesh import (
@@ -49,11 +49,12 @@ weights no body is spoilt."""
 def load_gltf(path: Path, rig: Rig, *, rig_file: str | Path | None = None, bones: str | Path | None = None) -> Avatar:
     """Read a GLB, glTF, VRM or FBX file. Raises AvatarError (see `physkin_core.load_avatar`) and ContentError."""
     file = GltfFile(path, lenient=True, clips=False)
-    if not file.document.count("skins"):
+    rigid = None if file.document.count("skins") or rig_file is not None else rigid_skeleton(file, rig)
+    if not file.document.count("skins") and rigid is None:
         return retarget_plain_mesh(_plain_mesh(file), rig, path=path, rig_file=rig_file, bones=bones, up="Y")
     if rig_file is not None:
         raise ContentError(f"it has its own skeleton; a rig file ({shown(str(rig_file))}) is for plain meshes")
-    return retarget(_skinned_mesh(file, rig), rig, bones=bones)
+    return retarget(_skinned_mesh(file, rig, rigid), rig, bones=bones)
 
 
 def _plain_mesh(file: GltfFile) -> Surface:
@@ -77,7 +78,7 @@ def _joined(file: GltfFile, drawn: Sequence[Drawn], positions: Sequence[np.ndarr
     )
 
 
-def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
+def _skinned_mesh(file: GltfFile, rig: Rig, rigid: GltfSkeleton | None) -> SkinnedMesh:
     humanoid = humanoid_nodes(file)
     skinned = [(drawn, file.nodes[drawn.node].index("skin")) for drawn in drawn_primitives(file)]
     counts = dict.fromkeys(range(file.document.count("skins")), 0)
@@ -85,9 +86,10 @@ def _skinned_mesh(file: GltfFile, rig: Rig) -> SkinnedMesh:
         if skin is not None:
             file.document.item("skins", skin)
             counts[skin] += len(drawn.positions)
-    skeleton = find_skeleton(file, counts, rig, humanoid)
+    skeleton = rigid or find_skeleton(file, counts, rig, humanoid)
     warnings = [*_mended(file, humanoid or {}), *skeleton.warnings]
-    coarse = coarse_copies([drawn for drawn, skin in skinned if skin in skeleton.skins])
+    names = [node.text("name") or "" for node in file.nodes]
+    coarse = coarse_copies([drawn for drawn, skin in skinned if skin in skeleton.skins], names)
     if coarse:
         called = listed([file.nodes[node].text("name") or f"node {node}" for node in sorted(coarse)])
         warnings.append(f"these meshes draw again what others draw finer: {called}; left out")

@@ -5,6 +5,7 @@ Dimensions: `V` vertices, `f` faces.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,24 +20,28 @@ __all__ = ["coarse_copies"]
 SAME_BOX, SAME_SURFACE = 0.02, 0.005
 """Shares of the extent: by how much the boxes about two meshes differ, and how far the vertices of each lie from the
 other on average, where both are one surface."""
+LEVEL = re.compile(r"[ _.-]*lod[ _.-]*\d+", re.IGNORECASE)
+"""What names of levels of detail have beside that of the figure."""
 PIECES = 0.5
 """Share of edges that one face alone has, from which on meshes may be pieces that fill each other up."""
 
 
-def coarse_copies(drawn: Sequence[Drawn]) -> set[int]:
-    """Nodes whose meshes draw what another node's draws with more faces."""
+def coarse_copies(drawn: Sequence[Drawn], names: Sequence[str]) -> set[int]:
+    """Nodes whose meshes draw what another node's draws with more faces: by shape, or by the names of nodes."""
     by_node: dict[int, list[Drawn]] = {}
     for each in drawn:
         by_node.setdefault(each.node, []).append(each)
-    coarse, kept = set(), []
+    coarse, kept, called = set(), [], set()
     for node, parts in sorted(by_node.items(), key=lambda item: -sum(len(each.faces) for each in item[1])):
         starts = np.cumsum([0, *(len(each.positions) for each in parts)])
         faces = np.concatenate([each.faces + start for each, start in zip(parts, starts)])
         surface = np.concatenate([each.positions for each in parts]), faces
-        if any(_repeats(surface, finer) for finer in kept):
+        name = LEVEL.sub("", names[node])
+        if (name in called and name != names[node]) or any(_repeats(surface, finer) for finer in kept):
             coarse.add(node)
         else:
             kept.append(surface)
+            called.add(name)
     return coarse
 
 

@@ -22,9 +22,9 @@ from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_joints import nearest_above, skin_nodes, with_nodes_above
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
-from physkin_core.rig.rig import Rig, ancestors
+from physkin_core.rig.rig import MOST_BONES, Rig, ancestors
 
-__all__ = ["GltfSkeleton", "GltfSkin", "bind_worlds", "find_skeleton", "read_skins"]
+__all__ = ["GltfSkeleton", "GltfSkin", "bind_worlds", "find_skeleton", "read_skins", "rigid_skeleton"]
 
 SAME_POSE = 1e-3
 """Share of the skeleton's extent by which joints of one pose may be apart in another, for it to be the same."""
@@ -94,6 +94,7 @@ def find_skeleton(
     figures = [_Figure(file, group, rig, humanoid) for group in groups]
     people = [figure for figure in figures if len(figures) > 1 and not figure.human.missing]
     people = people or [figure for figure in figures if drawing[0] in figure.skins]
+    people = [figure for figure in people if _stands(figure.human, figure.heads)] or people  # no horse
     largest = max(figure.extent for figure in people)
     chosen = next(figure for figure in people if figure.extent >= AS_LARGE * largest)
     joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
@@ -114,6 +115,19 @@ def find_skeleton(
         taken = f"{_called(file, chosen.skins)} is taken, the largest person or the first of that size"
         warnings = (f"{len(left_out) + 1} figures are in the file: {taken}; left out: {', '.join(left_out)}",)
     return GltfSkeleton(chosen.nodes, joint, worlds, worn, warnings)
+
+
+def rigid_skeleton(file: GltfFile, rig: Rig) -> GltfSkeleton | None:
+    """Of a file without skins whose nodes move rigid parts, as a robot's do: all its nodes as they stand. None where
+    they are no person's, or not every limb segment has a mesh."""
+    if len(file.nodes) > MOST_BONES:
+        return None
+    nodes, unmoved = list(range(len(file.nodes))), np.tile(np.eye(4), (len(file.nodes), 1, 1))
+    figure = _Figure(file, {0: GltfSkin(nodes, unmoved, unmoved, given=False)}, rig, None)
+    joints, place = figure.human.joints, {node: k for k, node in enumerate(figure.nodes)}
+    carriers = nearest_above(file, {figure.nodes[joints[bone]]: bone for bone in LIMB_SEGMENTS if bone in joints})
+    whole = {carriers.get(node) for node in nodes if "mesh" in file.nodes[node]} >= LIMB_SEGMENTS.keys()
+    return GltfSkeleton(figure.nodes, place, figure.worlds, {}) if whole else None
 
 
 class _Figure:

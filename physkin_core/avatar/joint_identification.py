@@ -24,8 +24,9 @@ __all__ = ["identify_bones"]
 SHARE_OF_SKIN = {"arm": 0.58, "leg": 0.84}
 """Elbow to wrist over elbow to fingertips; knee to ankle over knee to sole."""
 ROUNDS = 3
-TOES = 0.05
-"""Share of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right."""
+TOES, BACKWARDS = 0.05, 0.15
+"""Shares of a shin by which the skin of feet must lie before the ankles, or behind them, to tell left from right, and
+behind them to say otherwise than names."""
 
 
 def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None) -> tuple[SkinnedMesh, HumanSkeleton]:
@@ -40,10 +41,11 @@ def identify_bones(mesh: SkinnedMesh, rig: Rig, bones: str | Path | None = None)
     by_hand = read_bones_file(bones, Path(mesh.source), rig.bone_names, mesh.joint_names)
     said = {"humanoid": mesh.humanoid, "by_hand": by_hand}
     skeleton = find_human_skeleton(mesh.joint_names, mesh.joint_parents, mesh.joint_heads, rig, **said)
-    if not skeleton.sides_told and not skeleton.missing:
+    if not skeleton.missing and not by_hand and "upperleg01.L" in skeleton.joints:  # of a person's rig
         left = _left_by_feet(mesh, skeleton.joints)
-        if left < -TOES:
-            skeleton = skeleton.mirrored()
+        if left < -(BACKWARDS if skeleton.sides_told else TOES):
+            said = "by its feet it faces the other way than by its names: left and right are exchanged"
+            skeleton = replace(skeleton.mirrored(), doubt=said if skeleton.sides_told else "")
         elif left > TOES:
             skeleton = replace(skeleton, doubt="")
     longer, added = _with_limb_ends(mesh, skeleton.joints)
@@ -62,9 +64,10 @@ def _left_by_feet(mesh: SkinnedMesh, joints: Mapping[str, int]) -> float:
     """How far, in lengths of a shin, feet's skin lies before the ankles if the joints' left is left; below 0 behind
     them. joints: by rig bone."""
     heads = {bone: mesh.joint_heads[joint] for bone, joint in joints.items()}
-    hips, ankles = ([heads[f"{bone}.{side}"] for side in "LR"] for bone in ("upperleg01", "foot"))
-    shin = np.linalg.norm(ankles[0] - heads["lowerleg01.L"])
-    forward = np.cross(hips[0] - hips[1], hips[0] + hips[1] - ankles[0] - ankles[1])
+    bones = "upperleg01", "lowerleg01", "foot"
+    hips, knees, ankles = ([heads[f"{bone}.{side}"] for side in "LR"] for bone in bones)
+    shin = np.linalg.norm(ankles[0] - knees[0])
+    forward = np.cross(hips[0] - hips[1], knees[0] + knees[1] - ankles[0] - ankles[1])
     skins = [mesh.vertices[_carried(mesh, joints[f"foot.{side}"])] for side in "LR"]
     toes = sum((skin.mean(axis=0) - ankle for skin, ankle in zip(skins, ankles) if len(skin)), np.zeros(3))
     return float(toes @ forward / max(2 * shin * np.linalg.norm(forward), 1e-12))

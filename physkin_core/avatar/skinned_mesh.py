@@ -30,6 +30,7 @@ __all__ = [
 
 HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
+UNITS |= {"hectometres": 100.0, "kilometres": 1000.0}
 ADULT_SIZES = (1.2, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
 MOST_HEADING, MOST_LEAN = 3.0, 0.07
@@ -103,17 +104,23 @@ def check_influence_count(count: int) -> None:
 def clean_surface(
     surface: Surface, attributes: Sequence[np.ndarray], source: str
 ) -> tuple[Surface, tuple[np.ndarray, ...], np.ndarray]:
-    """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices and empty faces.
+    """Check a surface, weld equal vertices (texture seams, triangle soups) and drop unused vertices, empty faces and
+    faces that are there already: in their part, or the other way round, as of a body that is to be seen from inside.
 
     attributes: arrays (V, ...) that must be equal, too, for vertices to be welded. The order of what remains is kept;
     the last result tells which faces (f,) do. Raises AvatarError on no faces, NaN or an index out of range.
     """
     vertices, faces = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    if faces.size and faces.dtype.kind in "iu" and 0 <= faces.min() and faces.max() < len(vertices):
+        vertices = np.where(np.isin(np.arange(len(vertices)), faces)[:, None], vertices, 0.0)
     if fault := surface_fault(vertices, faces):
         raise AvatarError(f"avatar {source}: {fault}")
     key = np.concatenate([array.reshape(len(vertices), -1).astype(np.float64) for array in (vertices, *attributes)], 1)
     faces = _first_of_its_kind(key + 0.0)[faces]
-    kept = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    corners, wound = np.sort(faces, axis=1), (faces < np.roll(faces, -1, axis=1)).sum(axis=1)
+    own = corners if surface.face_parts is None else np.column_stack([corners, surface.face_parts])
+    kept = (np.diff(corners) > 0).all(axis=1) & (_first_of_its_kind(own) == np.arange(len(faces)))
+    kept &= wound == wound[_first_of_its_kind(corners)]
     used, faces = np.unique(faces[kept], return_inverse=True)
     if len(used) == 0:
         raise AvatarError(f"avatar {source}: all faces are degenerate; a triangle mesh is needed")
@@ -138,7 +145,7 @@ def unit_scale(vertices: np.ndarray) -> tuple[float, tuple[str, ...]]:
     size = float(np.ptp(vertices, axis=0).max())
     low, high = ADULT_SIZES
     for unit, scale in UNITS.items():
-        if size > HEIGHT_RANGE[1] and low <= size * scale <= high:
+        if not HEIGHT_RANGE[0] <= size <= HEIGHT_RANGE[1] and low <= size * scale <= high:
             return scale, (f"{size:.4g} units in size: taken to be in {unit}, {size * scale:.2f} m",)
     return 1.0, ()
 

@@ -196,6 +196,8 @@ def test_truncated_binary_meshes(tmp_path, suffix):
         (100, "in centimetres, 1.4"),
         (1 / 0.0254, "in inches, 1.4"),
         (1000, "in millimetres, 1.4"),
+        (0.01, "in hectometres, 1.4"),
+        (0.001, "in kilometres, 1.4"),
     ],
 )
 def test_units(tmp_path, factor, unit):

@@ -9,6 +9,7 @@ import trimesh
 from gltf_person import (
     PERSON,
     RIG,
+    add_part,
     distances,
     faces_on,
     load_document,
@@ -30,12 +31,12 @@ def assert_is_the_person(avatar):
     assert distances(avatar.bone_heads, PERSON.bone_heads).max() < 0.1
 
 
-def add_figure(builder, name, *, at=(0.0, 0.0, 0.0), size=1.0, joints=None):
+def add_figure(builder, name, *, at=(0.0, 0.0, 0.0), size=1.0, joints=None, heads=PERSON.bone_heads):
     """The person once more, on a skeleton of its own, glTF's frame. joints: (j,) indices of the only bones that it has
     joints for."""
     document = builder.document
     first, bones = len(document["nodes"]), range(RIG.bone_count) if joints is None else joints
-    heads = PERSON.bone_heads[:, [1, 2, 0]].astype(np.float64) * size
+    heads = heads[:, [1, 2, 0]].astype(np.float64) * size
     for place, bone in enumerate(bones):
         above = next((list(bones).index(each) for each in RIG.ancestors(bone)[1:] if each in bones), None)
         offset = heads[bone] + at if above is None else heads[bone] - heads[list(bones)[above]]
@@ -113,6 +114,144 @@ def test_the_finest_level_of_detail_counts(tmp_path, name):
     avatar = load_document(tmp_path, builder)
     assert_is_the_person(avatar)
     assert "draw again what others draw finer: 'Figure" in avatar.warnings[0]
+
+
+@pytest.mark.parametrize("names", ["rigify", ""])
+def test_a_large_horse_is_no_person(tmp_path, names):
+    """The trunk of what stands on four legs lies, whatever its joints are called."""
+    builder, heads = person_document(), PERSON.bone_heads.copy()
+    on_all_fours = [bone for bone in range(RIG.bone_count) if "leg" not in RIG.bone_names[bone]]
+    on_all_fours = [bone for bone in on_all_fours if not RIG.bone_names[bone].startswith(("foot", "pelvis"))]
+    arms = [bone for bone in on_all_fours if "arm" in RIG.bone_names[bone] or "wrist" in RIG.bone_names[bone]]
+    heads[on_all_fours] = heads[on_all_fours][:, [2, 1, 0]] * [1, 1, -1]
+    shoulder = heads[RIG.bone_index("upperarm01.L")]
+    heads[arms] = shoulder * [1, 0, 1] + (PERSON.bone_heads[arms] - PERSON.bone_heads[arms[0]]) * [0, 1, 1]
+    add_figure(builder, "horse", at=(3, 0, 0), size=1.5, heads=heads)
+    if not names:
+        for node in builder.document["nodes"]:
+            node["name"] = node["name"] if not node["name"].startswith("horse") else ""
+    avatar = load_document(tmp_path, builder)
+    assert_is_the_person(avatar)
+    assert avatar.warnings[0].startswith("2 figures are in the file: 'body' is taken")
+
+
+def test_levels_of_detail_by_name_differ_as_much_as_they_like(tmp_path):
+    """A cross-section of the figure stands for the one far away."""
+    builder = person_document()
+    document = builder.document
+    document["nodes"][-1]["name"] = "Person"
+    primitive = primitive_of(builder)
+    few = {**primitive, "indices": builder.add_accessor(PERSON.faces[::40].astype(np.uint16).reshape(-1))}
+    document["meshes"].append({"primitives": [few]})
+    document["nodes"].append({"name": "Person_LOD3", "mesh": 1, "skin": 0})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    avatar = load_document(tmp_path, builder)
+    assert_is_the_person(avatar)
+    assert len(avatar.faces) == len(PERSON.faces)
+    assert avatar.warnings == ("these meshes draw again what others draw finer: 'Person_LOD3'; left out",)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_body_that_is_drawn_from_both_sides_is_one_body(tmp_path, shared):
+    """With its inside as further faces, of the same vertices or of their copies."""
+    count, copies = len(PERSON.vertices), 1 if shared else 2
+    builder = person_document(
+        vertices=np.concatenate([PERSON.vertices] * copies),
+        faces=np.concatenate([PERSON.faces, PERSON.faces[:, ::-1] + count * (copies - 1)]),
+        influence_joints=np.concatenate([PERSON.influence_bones] * copies),
+        influence_weights=np.concatenate([PERSON.influence_weights] * copies),
+    )
+    avatar = load_document(tmp_path, builder)
+    assert_is_the_person(avatar)
+    np.testing.assert_array_equal(avatar.faces, PERSON.faces)
+
+
+def test_a_body_whose_inside_has_a_material_is_one_body(tmp_path):
+    builder = person_document()
+    indices = builder.add_accessor(PERSON.faces[:, ::-1].astype(np.uint16).reshape(-1))
+    builder.document["materials"] = [{"name": "front"}, {"name": "back"}]
+    inside = {**primitive_of(builder), "indices": indices, "material": 1}
+    primitive_of(builder)["material"] = 0
+    builder.document["meshes"][0]["primitives"].append(inside)
+    avatar = load_document(tmp_path, builder)
+    assert_is_the_person(avatar)
+    np.testing.assert_array_equal(avatar.faces, PERSON.faces)
+
+
+def test_nameless_clothes_over_a_whole_body_are_worn_already(tmp_path):
+    """There is room for the surface of a stout body, but they lie over what skin there is."""
+    builder = person_document()
+    shirt = faces_on("spine03", "spine02", "spine01", "upperarm")
+    add_part(builder, "", shirt, offset=0.012)
+    avatar = load_document(tmp_path, builder)
+    assert len(avatar.clothes) == 1 and len(avatar.clothes[0].faces) == len(shirt)
+    assert distances(avatar.vertices[: len(PERSON.vertices)], PERSON.vertices).max() < 0.1
+
+
+def test_vertices_that_no_face_uses_may_be_anywhere(tmp_path):
+    builder = person_document(
+        vertices=np.concatenate([PERSON.vertices, np.full((5, 3), np.nan)]),
+        influence_joints=np.concatenate([PERSON.influence_bones, PERSON.influence_bones[:5]]),
+        influence_weights=np.concatenate([PERSON.influence_weights, PERSON.influence_weights[:5]]),
+    )
+    assert_is_the_person(load_document(tmp_path, builder))
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_mirrored_figure_faces_where_its_feet_point(tmp_path, axis):
+    """The nodes above mirror it, so that its left is what names call right."""
+    builder = person_document()
+    document, scale = builder.document, [1.0, 1.0, 1.0]
+    scale[axis] = -1.0
+    nodes = document["scenes"][0]["nodes"]
+    roots = [node for node in nodes if "mesh" not in document["nodes"][node]]
+    document["nodes"].append({"name": "Armature", "scale": scale, "children": roots})
+    document["scenes"][0]["nodes"] = [*(set(nodes) - set(roots)), len(document["nodes"]) - 1]
+    avatar = load_document(tmp_path, builder)
+    assert "by its feet it faces the other way than by its names: left and right are exchanged" in avatar.warnings
+    assert cKDTree(PERSON.vertices * [1, -1, 1]).query(avatar.vertices)[0].max() < 1e-3
+    toes = avatar.vertices[avatar.vertices[:, 2] < avatar.vertices[:, 2].min() + 0.05][:, 0].mean()
+    assert toes > avatar.bone_heads[RIG.bone_index("foot.L"), 0]
+
+
+def rigid_document(*, turned=0.0):
+    """The person cut up into parts without a skin, each a mesh of its bone's node. turned: left upper arm [radians]."""
+    builder = person_document()
+    document, primitive = builder.document, primitive_of(builder)
+    strongest = PERSON.influence_bones[np.arange(len(PERSON.vertices)), PERSON.influence_weights.argmax(axis=1)]
+    nodes = {node["name"]: node for node in document["nodes"]}
+    document["meshes"] = []
+    for bone, name in enumerate(RIG.bone_names):
+        faces = PERSON.faces[strongest[PERSON.faces[:, 0]] == bone]
+        if len(faces):
+            at = (PERSON.vertices - PERSON.bone_heads[bone])[:, [1, 2, 0]].astype(np.float32)
+            indices = builder.add_accessor(faces.astype(np.uint16).reshape(-1))
+            part = {**primitive, "attributes": {"POSITION": builder.add_accessor(at)}, "indices": indices}
+            document["meshes"].append({"primitives": [part]})
+            nodes[name]["mesh"] = len(document["meshes"]) - 1
+    del document["skins"], document["nodes"][-1]
+    document["scenes"][0]["nodes"].pop()
+    nodes["upperarm01.L"]["rotation"] = [0.0, 0.0, np.sin(turned / 2), np.cos(turned / 2)]
+    return builder
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.2])
+def test_rigid_parts_move_with_their_nodes(tmp_path, turned):
+    """As a robot's do, in any pose. Cut edges are in both parts; a raised arm gapes there when it is lowered."""
+    avatar = load_document(tmp_path, rigid_document(turned=turned))
+    assert len(avatar.faces) == len(PERSON.faces)
+    assert distances(avatar.bone_heads, PERSON.bone_heads).max() < (0.1 if turned == 0 else 5)
+    off = 1000 * cKDTree(PERSON.vertices).query(avatar.vertices)[0]
+    assert off.max() < 0.1 if turned == 0 else off.mean() < 2
+    assert not any("no skeleton" in said for said in avatar.warnings)
+
+
+def test_a_mesh_that_lost_its_skin_is_a_plain_mesh(tmp_path):
+    """Joints that carry nothing do not count: a skeleton is fitted."""
+    builder = person_document()
+    del builder.document["skins"], builder.document["nodes"][-1]["skin"]
+    avatar = load_document(tmp_path, builder)
+    assert any("no skeleton in the file" in said for said in avatar.warnings)
 
 
 def test_the_nodes_morph_weights_win(tmp_path):
