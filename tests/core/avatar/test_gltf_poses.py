@@ -56,6 +56,9 @@ def test_a_file_of_our_own_is_read_back(tmp_path):
     avatar, shown = load_avatar(tmp_path / "dance.glb", RIG), load_avatar(BUNDLED_AVATAR, RIG)
     assert distances(avatar.bone_heads, shown.bone_heads).max() < EXACT
     assert len(avatar.clothes) > 0 and not any("figures" in warning for warning in avatar.warnings)
+    trousers, legs = avatar.clothes[0].vertices, avatar.bone_heads[RIG.bone_index("foot.L")]
+    assert trousers[:, 2].min() == pytest.approx(legs[2], abs=0.1), "they hang, though the file shows a dancer"
+    assert np.abs(trousers[:, 0]).max() < 0.25
 
 
 @pytest.mark.parametrize(
