@@ -77,9 +77,10 @@ def _hanging(clip: SourceClip, joint: dict[str, int], rig: Rig, subject: str) ->
     posed = {part: clip.turned(index) for part, index in joint.items()}
     at_rest = {part: clip.rest[index] for part, index in joint.items()}
     places = {part: clip.places[:, index] for part, index in joint.items()}
-    if not _stands(at_rest):
-        posed, at_rest = _from_upright(posed, places)
     up = _nearest_axis(at_rest["neck"] - at_rest["root"])
+    if not all(_unit(at_rest[top] - at_rest[end]) @ up > RAISED for top, end in TRUNK_AND_LEGS):  # it does not stand
+        posed, at_rest = _from_upright(posed, places)
+        up = _nearest_axis(at_rest["neck"] - at_rest["root"])
     across = at_rest["hip.L"] - at_rest["hip.R"]
     left = _unit(across - up * (across @ up))
     left = _nearest_axis(left) if left @ _nearest_axis(left) > ALONG_AXIS else left
@@ -128,12 +129,6 @@ def _hanging(clip: SourceClip, joint: dict[str, int], rig: Rig, subject: str) ->
 def _limb_length(heads: dict[str, np.ndarray], first: str, second: str, end: str, side: str) -> float:
     upper, middle, lower = (heads[f"{part}.{side}"] for part in (first, second, end))
     return float(np.linalg.norm(middle - upper) + np.linalg.norm(lower - middle))
-
-
-def _stands(heads: dict[str, np.ndarray]) -> bool:
-    """Whether joints (3,) are those of a body on its legs, up being an axis."""
-    up = _nearest_axis(heads["neck"] - heads["root"])
-    return all(_unit(heads[above] - heads[below]) @ up > RAISED for above, below in TRUNK_AND_LEGS)
 
 
 def _from_upright(

@@ -127,8 +127,10 @@ def the_clip(file: GltfFile, clip: str) -> GltfEntry:
         raise ContentError(f"it has no clip {shown(clip)}; allowed are {listed(names)}, or 1 to {len(names)}")
     number = names.index(clip) if clip in names else int(clip or 1) - 1
     if not clip and len(names) > 1:
-        counts = [len(each.entries("channels")) for each in file.document.entries("animations")]
-        number = next((k for k, count in enumerate(counts) if count > len(TRANSFORM_PARTS)), 0)
+        samplers = (animation.entries("samplers") for animation in file.document.entries("animations"))
+        inputs = ([file.document.item("accessors", each.integer("input")) for each in its] for its in samplers)
+        moving = (sum(each.integer("count") > 1 for each in its) for its in inputs)
+        number = next((k for k, count in enumerate(moving) if count > len(TRANSFORM_PARTS)), 0)
         taken = file.path, len(names), shown(names[number]), listed(names)
         log.warning("%s: of %d clips %s is taken: %s; another: #NAME after the file", *taken)
     return file.document.item("animations", number)

@@ -117,7 +117,7 @@ def load_landmarks(
             reader = LandmarkReader(names, axes=axes, renamed=renamed)
             stands, mirrored = reader.facing(points)
             way = np.abs(stands).argmax()
-            if axes is None and guessed and (way == 0 or stands[way] < 0):  # somebody on the side may lie
+            if axes is None and guessed and (way == 0 or stands[way] < 0):  # who is on the side may lie
                 names = LANDMARK_SETS[names]["names"].split()
                 return load_landmarks(path, names=names, renamed=renamed, rate_hz=rate_hz)
             if axes is None and not isinstance(names, str):

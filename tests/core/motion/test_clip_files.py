@@ -113,6 +113,12 @@ def test_a_clip_is_chosen_by_name_or_number(tmp_path, caplog, expected):
             load_motion(f"{path}#{other}")
 
 
+def test_a_take_of_one_key_is_passed_over(tmp_path, expected):
+    """A T-pose, or the empty `Take 001` of many files, before the motion."""
+    path = write_gltf_clips(tmp_path / "me.glb", JOINTS, {"Take 001": [{}], "mixamo.com": FRAMES})
+    assert_same(load_motion(path), expected)
+
+
 def test_clip_names_may_have_any_sign(tmp_path, expected):
     """As do those of files."""
     path = write_gltf_clips(tmp_path / "me#1.glb", JOINTS, {"Stand": [{}] * 3, "Armature|take#2": FRAMES})
