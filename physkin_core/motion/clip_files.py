@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,9 +34,8 @@ LARGEST_SKELETON = 1 << 22
 
 def split_clip_name(path: str | Path) -> tuple[Path, str]:
     """A file and which of its clips, from `me.glb#Walk`; the clip is empty for all other names."""
-    file, _, clip = str(path).rpartition("#")
-    named = Path(file).suffix.lower() in GLTF_SUFFIXES and not Path(path).exists()
-    return (Path(file), clip) if named else (Path(path), "")
+    named = re.fullmatch(rf"(.*?(?:{'|'.join(GLTF_SUFFIXES)}))#(.*)", str(path), re.IGNORECASE)
+    return (Path(named[1]), named[2]) if named and not Path(path).exists() else (Path(path), "")
 
 
 def is_clip(path: str | Path) -> bool:

@@ -10,6 +10,7 @@ Dimensions: `T` frames, `J` joints. Offsets in the file's own unit: a clip is sc
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,7 +31,9 @@ __all__ = ["find_joints", "retarget_clip"]
 log = logging.getLogger(__name__)
 
 HINGE_GUESS = 0.05  # how much a T-pose's elbow and knee axes count beside those seen in the clip
+ALONG_AXIS = 0.97  # cosine from which on hips lie along an axis: few bodies are quite symmetric
 RAISED = 0.5  # cosine to the vertical from which on a limb or the trunk stands
+TRUNK_AND_LEGS = (("neck", "root"), ("hip.L", "ankle.L"), ("hip.R", "ankle.R"))
 PARTS = {"hip": "upperleg01", "knee": "lowerleg01", "ankle": "foot"}
 PARTS |= {"shoulder": "upperarm01", "elbow": "lowerarm01", "wrist": "wrist"}
 """The rig's bone that begins at a joint of a limb."""
@@ -51,35 +54,41 @@ def retarget_clip(
         log.warning("%s: %s", subject, remark)
     calibration, limbs = calibration_frames(clip, joints)
     if calibration:
-        log.warning(
-            "%s: its first %d frames are left out: a calibration pose (%s)", subject, calibration, ", ".join(limbs)
-        )
+        said = "%s: its first %d frames are left out: a calibration pose (%s)"
+        log.warning(said, subject, calibration, ", ".join(limbs))
         clip = clip.at(slice(calibration, None))
     clip = clip.at(slice(None, None, max(1, round(clip.rate_hz / RATE_HZ))))
-    rotations, positions = _hanging(clip, joints, rig)
+    rotations, positions = _hanging(clip, joints, rig, subject)
     joint_positions, report = retarget(rig, rotations, watch=watch)
-    report.pop("at_limit")
     root = rotations["root"]
     forward = root[0].apply([1.0, 0.0, 0.0])
     ahead = Rotation.from_euler("z", -np.arctan2(forward[1], forward[0]))
     positions = ahead.apply(positions - positions[0] * [1, 1, 0])
     motion = Motion(rig.joint_names, joint_positions, (ahead * root).as_quat(), positions, clip.rate_hz, name)
-    return on_floor(motion.resampled(RATE_HZ)), {bone: mean for bone, (mean, _) in report.items()}
+    return on_floor(motion.resampled(RATE_HZ)), {bone: report[bone][0] for bone in report if bone in rig.bone_names}
 
 
-def _hanging(source: SourceClip, joint: dict[str, int], rig: Rig) -> tuple[dict[str, Rotation], np.ndarray]:
+def _hanging(clip: SourceClip, joint: dict[str, int], rig: Rig, subject: str) -> tuple[dict[str, Rotation], np.ndarray]:
     """What `retarget` wants: rotations by its joints; also root positions (T, 3) [m], Z up.
 
     Arms of the rig end where the source's do, seen from the shoulder and as a share of their length. Hips, and feet
     seen from them, are where they are in the source, as a share of the legs' length: feet that stand do not slide.
     """
-    posed = {part: source.turned(index) for part, index in joint.items()}
-    at_rest = {part: source.rest[index] for part, index in joint.items()}
-    places = {part: source.places[:, index] for part, index in joint.items()}
-    if not _stands(at_rest):
-        posed, at_rest = _from_upright(posed, places)
+    posed = {part: clip.turned(index) for part, index in joint.items()}
+    at_rest = {part: clip.rest[index] for part, index in joint.items()}
+    places = {part: clip.places[:, index] for part, index in joint.items()}
     up = _nearest_axis(at_rest["neck"] - at_rest["root"])
-    left = _nearest_axis(at_rest["hip.L"] - at_rest["hip.R"])
+    if not all(_unit(at_rest[top] - at_rest[end]) @ up > RAISED for top, end in TRUNK_AND_LEGS):  # it does not stand
+        posed, at_rest = _from_upright(posed, places)
+        up = _nearest_axis(at_rest["neck"] - at_rest["root"])
+    across = at_rest["hip.L"] - at_rest["hip.R"]
+    left = _unit(across - up * (across @ up))
+    left = _nearest_axis(left) if left @ _nearest_axis(left) > ALONG_AXIS else left
+    toes = sum((at_rest[f"toe.{side}"] - at_rest[f"ankle.{side}"] for side in "LR" if f"toe.{side}" in joint), 0 * up)
+    if toes @ np.cross(left, up) < -RAISED * np.linalg.norm(toes):
+        log.warning("%s: it is mirrored, as toes point backwards; what its mirror image does is taken", subject)
+        turns, rest, heads = clip.rotations * [1, -1, -1, 1], clip.rest * [-1, 1, 1], clip.places * [-1, 1, 1]
+        return _hanging(replace(clip, rotations=turns, rest=rest, places=heads), joint, rig, subject)
     turn = np.stack([np.cross(left, up), left, up])  # ours <- source
     to_ours = Rotation.from_matrix(turn)
     at_rest = {part: turn @ head for part, head in at_rest.items()}
@@ -99,10 +108,9 @@ def _hanging(source: SourceClip, joint: dict[str, int], rig: Rig) -> tuple[dict[
             own = [head[f"{PARTS[part]}.{side}"] for part in (first, second, end)]
             lengths = [float(np.linalg.norm(own[1] - own[0])), float(np.linalg.norm(own[2] - own[1]))]
             above = turned[parts[0]]
-            along = [above.apply(_unit(at_rest[parts[1]] - at_rest[parts[0]]))]
-            along += [turned[parts[1]].apply(_unit(at_rest[parts[2]] - at_rest[parts[1]]))]
+            upper, lower = (_unit(at_rest[b] - at_rest[a]) for a, b in zip(parts, parts[1:]))
+            along = [above.apply(upper), turned[parts[1]].apply(lower)]
             seen = above.inv().apply(sense * np.cross(along[0], along[1])).mean(axis=0)
-            upper = _unit(at_rest[parts[1]] - at_rest[parts[0]])
             guess = Rotation.align_vectors([upper], [[0.0, 0.0, -1.0]])[0].apply([0.0, 1.0, 0.0])
             hinge = above.apply(_unit(seen + HINGE_GUESS * guess))
             if first == "hip":
@@ -121,13 +129,6 @@ def _hanging(source: SourceClip, joint: dict[str, int], rig: Rig) -> tuple[dict[
 def _limb_length(heads: dict[str, np.ndarray], first: str, second: str, end: str, side: str) -> float:
     upper, middle, lower = (heads[f"{part}.{side}"] for part in (first, second, end))
     return float(np.linalg.norm(middle - upper) + np.linalg.norm(lower - middle))
-
-
-def _stands(heads: dict[str, np.ndarray]) -> bool:
-    """Whether joints (3,) are those of a body on its legs, up being an axis."""
-    up = _nearest_axis(heads["neck"] - heads["root"])
-    legs = [heads[f"hip.{side}"] - heads[f"ankle.{side}"] for side in "LR"]
-    return all(_unit(part) @ up > RAISED for part in (heads["neck"] - heads["root"], *legs))
 
 
 def _from_upright(
@@ -172,12 +173,15 @@ def find_joints(clip: SourceClip) -> tuple[dict[str, int], tuple[str, ...]]:
     if human.missing:
         raise ContentError(human.refusal(names, rig))
     found = {f"{part}.{side}": human.joints[f"{bone}.{side}"] for part, bone in PARTS.items() for side in "LR"}
-    top = next((human.joints[bone] for bone in ("head", "neck01") if bone in human.joints), None)
-    if top is None:
-        raise ContentError(f"it has no joint for neck or head; joints are {', '.join(names)}")
-    found["neck"] = top
+    for side in "LR":
+        away = np.linalg.norm(clip.rest - clip.rest[found[f"ankle.{side}"]], axis=1)
+        away[clip.parents != found[f"ankle.{side}"]] = 0
+        found |= {f"toe.{side}": int(away.argmax())} if away.any() else {}
     found["root"] = _branching(clip, found["hip.L"], found["hip.R"])
     found["chest"] = _branching(clip, found["shoulder.L"], found["shoulder.R"])
+    found["neck"] = next((human.joints[bone] for bone in ("head", "neck01") if bone in human.joints), found["chest"])
+    if found["neck"] == found["root"]:
+        raise ContentError(f"it has no joint for neck, head or chest; joints are {', '.join(names)}")
     if found["chest"] == human.joints.get("neck01"):  # 3ds Max's bipeds hang their collarbones on it
         found["chest"] = int(clip.parents[found["chest"]])
     found |= {f"clavicle.{side}": human.joints.get(f"clavicle.{side}", found["chest"]) for side in "LR"}

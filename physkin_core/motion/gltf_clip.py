@@ -6,13 +6,13 @@ Dimensions: `T` frames, `J` joints, `K` keys of a channel.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.avatar.gltf_skeleton import bind_worlds, read_skins
+from physkin_core.avatar.gltf_skeleton import GltfSkin, bind_worlds, read_skins
 from physkin_core.file_reading import ContentError, listed, shown
 from physkin_core.formats.gltf_document import GltfEntry
 from physkin_core.formats.gltf_file import (
@@ -67,12 +67,14 @@ class _Channel:
 class GltfClip:
     """How an animation moves the nodes of a file. Raises ContentError.
 
-    start, end: [s] of its keys. rate_hz: of these, `SLOWEST_HZ` to `RATE_HZ`. moved: nodes; none where it only changes
-    morph weights.
+    within: nodes whose channels count; None: all. start, end: [s] of their keys. rate_hz: of these, `SLOWEST_HZ` to
+    `RATE_HZ`. moved: nodes; none where it only changes morph weights.
     """
 
-    def __init__(self, file: GltfFile, animation: GltfEntry) -> None:
-        self._file, self._channels = file, _channels(file, animation)
+    def __init__(self, file: GltfFile, animation: GltfEntry, *, within: Collection[int] | None = None) -> None:
+        channels = _channels(file, animation)
+        self._channels = {node: its for node, its in channels.items() if within is None or node in within}
+        self._file = file
         self.moved = set(self._channels)
         times = [channel.times for its in self._channels.values() for channel in its.values()] or [np.zeros(1)]
         self.start, self.end = float(min(each[0] for each in times)), float(max(each[-1] for each in times))
@@ -98,15 +100,18 @@ def gltf_clip_names(file: GltfFile) -> list[str]:
 def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     """Read a clip of a glTF, VRM, VRMA or FBX file, sampled at the rate of its keys, `SLOWEST_HZ` to `RATE_HZ`.
 
-    Joints are those of skins and of the humanoid, or what moves where there are none, and all that they hang on. At
-    rest they are in the skins' bind pose, along the scene's axes, or lie as their nodes do. Raises ContentError.
+    Joints are those of the humanoid, else of the skins of the figure that moves most, or what moves where there are
+    none, and all that they hang on. At rest they are in the skins' bind pose, along the scene's axes, or lie as their
+    nodes do. Raises ContentError.
     """
     motion = GltfClip(file, animation)
     if not motion.moved:
         raise ContentError(f"{animation.where} moves no node; choose another clip")
     humanoid, skins = humanoid_nodes(file) or {}, read_skins(file, range(file.document.count("skins")))
-    joints = set(humanoid.values()).union(*(skin.joints for skin in skins.values())) or motion.moved
-    nodes = with_nodes_above(file, joints)
+    nodes = with_nodes_above(file, _figure(file, skins.values(), motion.moved).union(humanoid.values()) or motion.moved)
+    motion = GltfClip(file, animation, within=nodes)
+    if not motion.moved:
+        raise ContentError(f"{animation.where} moves no node of a figure; choose another clip")
     number = {node: joint for joint, node in enumerate(nodes)}
     count = 1 + round((motion.end - motion.start) * motion.rate_hz)
     check_clip_size(count, len(nodes), motion.rate_hz)
@@ -125,18 +130,33 @@ def read_gltf_clip(file: GltfFile, animation: GltfEntry) -> SourceClip:
     return SourceClip(names, parents, bind[:, :3, 3], quaternions, places, motion.rate_hz, by_bone)
 
 
+def _figure(file: GltfFile, skins: Iterable[GltfSkin], moved: Set[int]) -> set[int]:
+    """Joints of the skin that a clip moves most, and of others that share some, or move and have other names."""
+    found, names = set[int](), set[str]()
+    for joints in sorted((set(skin.joints) for skin in skins), key=lambda joints: -len(joints & moved)):
+        called = {file.nodes[joint].text("name") or "" for joint in joints}
+        if not found or found & joints or (joints & moved and names.isdisjoint(called)):
+            found, names = found | joints, names | called
+    return found
+
+
 def the_clip(file: GltfFile, clip: str) -> GltfEntry:
-    """The clip of a name or a number from 1; empty for the first, with a warning where there are others. Raises
-    ContentError."""
+    """The clip of a name or a number from 1; empty for the first that moves several nodes, with a warning where there
+    are others. Raises ContentError."""
     names = gltf_clip_names(file)
     if not names:
         raise ContentError("it has no animation clip; export it with one, or choose another motion")
     if clip and clip not in names and clip not in map(str, range(1, len(names) + 1)):
         raise ContentError(f"it has no clip {shown(clip)}; allowed are {listed(names)}, or 1 to {len(names)}")
+    number = names.index(clip) if clip in names else int(clip or 1) - 1
     if not clip and len(names) > 1:
-        said = "%s: the first of %d clips is taken: %s; another: #NAME after the file"
-        log.warning(said, file.path, len(names), listed(names))
-    return file.document.item("animations", names.index(clip) if clip in names else int(clip or 1) - 1)
+        samplers = (animation.entries("samplers") for animation in file.document.entries("animations"))
+        inputs = ([file.document.item("accessors", each.integer("input")) for each in its] for its in samplers)
+        moving = (sum(each.integer("count") > 1 for each in its) for its in inputs)
+        number = next((k for k, count in enumerate(moving) if count > len(TRANSFORM_PARTS)), 0)
+        taken = file.path, len(names), shown(names[number]), listed(names)
+        log.warning("%s: of %d clips %s is taken: %s; another: #NAME after the file", *taken)
+    return file.document.item("animations", number)
 
 
 def _channels(file: GltfFile, animation: GltfEntry) -> dict[int, dict[str, _Channel]]:

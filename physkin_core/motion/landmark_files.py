@@ -104,17 +104,23 @@ def load_landmarks(
             raise ContentError(f"its confidence has shape {np.shape(confidence)}; expected {points.shape[:2]}")
         points = np.where((np.asarray(confidence) < LEAST_CONFIDENCE)[..., None], np.nan, points[:, :, :3])
         names = clip.get("names") if names is None else names
-        if names is None:
+        if guessed := names is None:
             sets = [each for each, known in LANDMARK_SETS.items() if len(known["names"].split()) == points.shape[1]]
             if len(sets) != 1:
                 raise ContentError(f"{points.shape[1]} points need names, such as {' or '.join(sets or LANDMARK_SETS)}")
             names = sets[0]
         axes = axes or clip.get("axes")
+        seen = points[np.isfinite(points).all(axis=2)]
+        if len(seen) and 0 < seen[:, :2].min() < seen[:, :2].max() < 1 and seen[:, 2].min() < 0:
+            log.warning("%s: x and y from 0 to 1 are those of a picture: take world landmarks, or undo its shape", path)
         try:
             reader = LandmarkReader(names, axes=axes, renamed=renamed)
             stands, mirrored = reader.facing(points)
+            way = np.abs(stands).argmax()
+            if axes is None and guessed and (way == 0 or stands[way] < 0):  # who is on the side may lie
+                names = LANDMARK_SETS[names]["names"].split()
+                return load_landmarks(path, names=names, renamed=renamed, rate_hz=rate_hz)
             if axes is None and not isinstance(names, str):
-                way = np.abs(stands).argmax()
                 reader = LandmarkReader(names, axes=STANDING[way][int(stands[way] < 0)], renamed=renamed)
         except MotionError as error:
             raise ContentError(str(error)) from error

@@ -107,8 +107,7 @@ def _read_bag(path: Path, bones: str | Path | None) -> Motion:
     with reading(f"bag {path}", MotionError):
         by_hand = read_bones_file(bones, path, rig.joint_names, motion.joint_names)
     renamed = {number: joint for joint, number in by_hand.items()}
-    names = (renamed.get(number, joint) for number, joint in enumerate(motion.joint_names))
-    return replace(motion, joint_names=tuple(names))
+    return replace(motion, joint_names=tuple(renamed.get(k, joint) for k, joint in enumerate(motion.joint_names)))
 
 
 def _read(path: Path) -> Motion:

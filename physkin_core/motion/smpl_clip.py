@@ -34,7 +34,7 @@ LIMBS |= {"elbow": (0.26, 0, 0), "wrist": (0.25, 0, 0)}
 hip to ankle, as what bends there would be taken for the axis of the knee."""
 ANGLES = ("poses", "pose", "fullpose"), ("root_orient", "global_orient"), ("pose_body", "body_pose")
 PLACES, RATES = ("trans", "transl"), ("mocap_framerate", "mocap_frame_rate", "fps")
-USUAL_HZ = 30.0
+USUAL_HZ, MOST_ANGLE = 30.0, 4 * np.pi
 UPRIGHT = 0.7
 """Mean cosine between the trunk and the file's Y axis from which on that is up, or down; else it is Z, as in AMASS."""
 
@@ -54,7 +54,7 @@ def read_smpl_clip(path: Path) -> SourceClip:
         )
     count, width = len(parts[0]), 3 * len(JOINTS)
     places = np.zeros((count, 3)) if places is None else places
-    parts = [part.reshape(len(part), math.prod(part.shape[1:])) for part in parts]
+    parts = [_angles(part) for part in parts]
     if {len(part) for part in parts} != {count} or sum(part.shape[1] for part in parts) < width:
         shapes = ", ".join(str(part.shape) for part in parts)
         raise ContentError(f"its rotations are {shapes}; allowed are {width} angles or more for each frame")
@@ -70,12 +70,20 @@ def read_smpl_clip(path: Path) -> SourceClip:
     upright = float(on_parent[0].apply([0.0, 1.0, 0.0])[:, 1].mean())
     to_y_up = Rotation.from_euler("x", -90 if abs(upright) < UPRIGHT else 90 - 90 * np.sign(upright), degrees=True)
     if abs(upright) >= UPRIGHT:
-        log.warning(
-            "%s: up is taken to be %s, along which the body stands; AMASS has Z", path, "Y" if upright > 0 else "-Y"
-        )
+        said = "%s: up is taken to be %s, along which the body stands; AMASS has Z"
+        log.warning(said, path, "Y" if upright > 0 else "-Y")
     on_parent[0], places = to_y_up * on_parent[0], to_y_up.apply(places)
     offsets = np.array([_offset(name) for name in JOINTS])
     return posed_clip(JOINTS, PARENTS, offsets, on_parent, {0: places}, count, rate_hz)
+
+
+def _angles(part: np.ndarray) -> np.ndarray:
+    """(T, 3 J) of axes and angles, or of matrices (T, J, 3, 3). Raises ContentError for other rotations."""
+    if part.shape[-2:] == (3, 3) and np.allclose(part @ part.swapaxes(-1, -2), np.eye(3), atol=0.01):
+        return Rotation.from_matrix(part.reshape(-1, 3, 3)).as_rotvec().reshape(len(part), -1)
+    if (part.ndim > 2 and part.shape[-1] != 3) or np.nanmax(np.abs(part), initial=0) > MOST_ANGLE:
+        raise ContentError(f"its rotations {part.shape} are not axes and angles in radians; convert them")
+    return part.reshape(len(part), math.prod(part.shape[1:]))
 
 
 def _offset(joint: str) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from physkin_core.file_reading import shown
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS
-from physkin_core.rig.joint_names import plain_name, read_name, without_common_prefix
+from physkin_core.rig.joint_names import plain_name, read_name, without_common_words
 from physkin_core.rig.rig import Rig, ancestors
 
 __all__ = ["LIMB_BONES", "HumanSkeleton", "find_human_skeleton", "required_bones", "spine_bones"]
@@ -175,7 +175,7 @@ def find_human_skeleton(
     if humanoid is not None:
         roles = {joint: role for role, joint in humanoid.items()}
         names = [roles.get(joint, "") for joint in range(len(names))]
-    required, names = required_bones(rig), without_common_prefix(names)
+    required, names = required_bones(rig), without_common_words(names)
     for bone, joint in by_hand.items():
         names = ["" if _means(name, bone) else name for name in names]
         names[joint] = bone

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import json
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
 
-__all__ = ["JointName", "plain_name", "read_name", "without_common_prefix"]
+__all__ = ["JointName", "plain_name", "read_name", "without_common_words"]
 
 PREFIXES = set("mixamorig def bip biped cc base valve j c m f avg character".split())
 """Words that tools put before every joint's name."""
-SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+SIDES = {"l": "L", "left": "L", "lf": "L", "lft": "L", "r": "R", "right": "R", "rt": "R", "rgt": "R"}
 LIMBS = {"arm": "arm", "arms": "arm", "leg": "leg", "legs": "leg"}
 COMMON = 0.6
 """Share of joints whose names begin alike from which on that is no part of a name."""
@@ -54,11 +55,13 @@ def read_name(name: str) -> JointName:
     return JointName(side=side, limb=limbs.pop() if len(limbs) == 1 and side else "")
 
 
-def without_common_prefix(names: Sequence[str]) -> list[str]:
-    """Names without the first word that most of them have in common, such as the figure's own name."""
-    starts = [match[0] if (match := re.match(r"[^\W_]+[\W_]+(?=\w)", name)) else "" for name in names]
-    start, count = Counter(starts).most_common(1)[0] if starts else ("", 0)
-    return [name[len(start) :] if count > COMMON * len(names) and name.startswith(start) else name for name in names]
+def without_common_words(names: Sequence[str]) -> list[str]:
+    """Names without first and last words that most of them have in common, such as the figure's own name."""
+    for word in (r"^[^\W_]+[\W_]+(?=\w)", r"(?<=\w)_[^\W_]+$") * 2:
+        found = [match[0] if (match := re.search(word, name)) else "" for name in names]
+        common = {each for each, count in Counter(found).items() if count > COMMON * len(names)}
+        names = [re.sub(word, "", name) if each in common else name for name, each in zip(names, found)]
+    return list(names)
 
 
 def plain_name(name: str) -> str:
@@ -81,8 +84,10 @@ def _bones_by_name() -> dict[str, dict[str, float]]:
 
 def _words(name: str) -> tuple[list[str], str]:
     """Lower-case words and numbers of a name, without namespace, prefixes and side; and the side, "L", "R" or ""."""
-    last = re.sub(r"^([LR])(?=[A-Z]{1,2}[a-z])|^(left|right)(?=[a-z])", r"\1\2 ", re.split(r"[:|/]", name)[-1])
-    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", last)]
+    last = re.split(r"[:|/]", unicodedata.normalize("NFKC", name).replace("左", "left ").replace("右", "right "))[-1]
+    last = last.lower() if last.isupper() else re.sub(r"^([LR])(?=[A-Z]{1,2}[a-z])", r"\1 ", last)
+    last = re.sub(r"^(left|right)(?=[a-z])", r"\1 ", last)
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_A-Za-z]+", last)]
     first = 0
     while first < len(words) - 1 and (words[first] in PREFIXES or (first and words[first].isdigit())):
         first += 1

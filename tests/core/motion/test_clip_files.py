@@ -107,10 +107,62 @@ def test_a_clip_is_chosen_by_name_or_number(tmp_path, caplog, expected):
         assert motion.name == chosen.partition("#")[2]
     assert caplog.text == ""
     assert load_motion(path).frame_count == 3
-    assert "the first of 2 clips is taken: 'Stand', 'Walk'" in caplog.text
+    assert "of 2 clips 'Stand' is taken: 'Stand', 'Walk'" in caplog.text
     for other in ("Run", "0", "3"):
         with pytest.raises(MotionError, match=f"it has no clip '{other}'; allowed are 'Stand', 'Walk', or 1 to 2"):
             load_motion(f"{path}#{other}")
+
+
+def test_a_take_of_one_key_is_passed_over(tmp_path, expected):
+    """A T-pose, or the empty `Take 001` of many files, before the motion."""
+    path = write_gltf_clips(tmp_path / "me.glb", JOINTS, {"Take 001": [{}], "mixamo.com": FRAMES})
+    assert_same(load_motion(path), expected)
+
+
+def test_clip_names_may_have_any_sign(tmp_path, expected):
+    """As do those of files."""
+    path = write_gltf_clips(tmp_path / "me#1.glb", JOINTS, {"Stand": [{}] * 3, "Armature|take#2": FRAMES})
+    assert_same(load_motion(f"{path}#Armature|take#2"), expected)
+
+
+ARMATURE = Rotation.identity(), 1.0
+
+
+def add_camera(document):
+    """A clip of a camera, which comes first."""
+    document["nodes"].append({"name": "Camera"})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    moved = {"sampler": 0, "target": {"node": len(document["nodes"]) - 1, "path": "translation"}}
+    samplers = document["animations"][0]["samplers"][:1]
+    document["animations"].insert(0, {"name": "Camera", "channels": [moved], "samplers": samplers})
+
+
+def test_a_clip_of_a_camera_is_none_of_the_figure(tmp_path, caplog, expected):
+    """The first that moves several nodes is taken instead. Chosen, it is refused: the figure would stand still."""
+    path = write_gltf_clips(tmp_path / "a.glb", JOINTS, {"Walk": FRAMES}, armature=ARMATURE, change=add_camera)
+    assert_same(load_motion(path), expected)
+    assert "of 2 clips 'Walk' is taken: 'Camera', 'Walk'" in caplog.text
+    with pytest.raises(MotionError, match=r"animations\[0\] moves no node of a figure; choose another clip"):
+        load_motion(f"{path}#Camera")
+
+
+@pytest.mark.parametrize("moves", [0, 1])
+def test_of_two_figures_the_one_that_moves_is_read(moves, tmp_path, expected):
+    """Both have the same names, and hang on armatures of their own."""
+
+    def add_figure(document):
+        count = len(document["nodes"])
+        for node in list(document["nodes"]):
+            more = {"children": [child + count for child in node["children"]]} if "children" in node else {}
+            document["nodes"].append(node | more)
+        document["scenes"][0]["nodes"].append(2 * count - 1)
+        skin = document["skins"][0]
+        document["skins"].append(skin | {"joints": [joint + count for joint in skin["joints"]]})
+        for channel in document["animations"][0]["channels"]:
+            channel["target"]["node"] += moves * count
+
+    path = write_gltf_clips(tmp_path / "a.glb", JOINTS, {"Walk": FRAMES}, armature=ARMATURE, change=add_figure)
+    assert_same(load_motion(path), expected)
 
 
 def test_vrma_says_which_bone_is_which(tmp_path, expected):
@@ -160,6 +212,10 @@ def test_long_gltf_clips_are_refused(tmp_path):
         load_motion(path)
 
 
+def matrices(poses):
+    return Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(len(poses), -1, 3, 3)
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -167,13 +223,19 @@ def test_long_gltf_clips_are_refused(tmp_path):
         lambda arrays: arrays | {"poses": arrays["poses"][:, :72]},
         lambda arrays: arrays | {"poses": arrays["poses"].reshape(len(FRAMES), -1, 3)},
         lambda arrays: {
+            "global_orient": matrices(arrays["poses"])[:, :1],
+            "body_pose": matrices(arrays["poses"])[:, 1:24],
+            "transl": arrays["trans"],
+            "fps": 60,
+        },
+        lambda arrays: {
             "root_orient": arrays["poses"][:, :3],
             "pose_body": arrays["poses"][:, 3:66],
             "trans": arrays["trans"],
             "mocap_frame_rate": np.array(60),
         },
     ],
-    ids=["SMPL-H", "SMPL", "by joint", "SMPL-X"],
+    ids=["SMPL-H", "SMPL", "by joint", "matrices", "SMPL-X"],
 )
 def test_smpl_clips_need_no_body(change, expected, tmp_path, caplog):
     """Limbs and trunk turn as those of the BVH, but for 4 degrees that the shins of SMPL's rest slant by and as many
@@ -212,6 +274,8 @@ def test_smpl_clips_that_stand_along_y(expected, tmp_path, caplog):
             "its rotations are .9, 60.; allowed are 66 angles or more",
         ),
         (lambda arrays: arrays.update(poses=np.zeros((0, 156))), "some, and finite"),
+        (lambda arrays: arrays.update(poses=np.zeros((9, 24, 4))), "9, 24, 4. are not axes and angles in radians"),
+        (lambda arrays: arrays.update(poses=np.degrees(arrays["poses"])), "not axes and angles in radians; convert"),
         (lambda arrays: arrays.update(trans=np.zeros((8, 3))), "must be as many"),
         (lambda arrays: arrays["poses"].fill(np.nan), "finite"),
     ],
@@ -291,6 +355,48 @@ def test_every_naming_is_known_in_motion(naming):
         for side in "LR":
             assert names[joints[f"{part}.{side}"]] == called[f"{bone}.{side}"]
     assert names[joints["neck"]] in (called["head"], called.get("neck01"))
+
+
+TOOLS = {
+    "{}_jnt": lambda name: f"{name}_jnt",
+    "SK_Hero_{}": lambda name: f"SK_Hero_{name}",
+    "upper case": str.upper,
+    "lf_, rt_": lambda name: name.replace("Left", "lf_").replace("Right", "rt_"),
+    "full width": lambda name: "".join(chr(ord(letter) + 0xFEE0) for letter in name),
+    "Japanese": lambda name: translated(name, "センター 上半身 頭 腕 ひじ 手首 足 ひざ 足首", "左右"),
+    "Chinese": lambda name: translated(name, "骨盆 脊柱 头 上臂 前臂 手 大腿 小腿 脚", "左右"),
+}
+
+
+def translated(name, words, sides):
+    parts = ("Hips", "Spine1", "Head", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+    side = sides[0] if name.startswith("Left") else sides[1] if name.startswith("Right") else ""
+    return side + dict(zip(parts, words.split()))[name.removeprefix("Left").removeprefix("Right")]
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_names_tell_joints_of_a_rest_that_is_not_symmetric(tool, expected, tmp_path, caplog):
+    """Place alone does not; what a tool says of every joint, letters' width and case are no part of a name."""
+    joints = [
+        (name, parent, tuple(Rotation.from_euler("z", 60 * (name[:4] == "Left"), degrees=True).apply(offset)))
+        if "Arm" in name or "Hand" in name
+        else (name, parent, offset)
+        for name, parent, offset in JOINTS
+    ]
+    plain = load_motion(write_bvh(tmp_path / "a.bvh", FRAMES, joints=joints))
+    caplog.clear()
+    read = load_motion(write_bvh(tmp_path / "b.bvh", FRAMES, joints=joints, renamed=TOOLS[tool]))
+    np.testing.assert_array_equal(read.positions, plain.positions)
+    assert caplog.text == ""
+
+
+def test_a_body_without_a_head_is_read(tmp_path):
+    """Its chest tells where up is."""
+    frames = [{**frame, "Head": (0, 0, 0)} for frame in FRAMES]
+    plain = load_motion(write_bvh(tmp_path / "a.bvh", frames))
+    bare = [joint for joint in JOINTS if joint[0] != "Head"]
+    read = load_motion(write_bvh(tmp_path / "b.bvh", frames, joints=bare))
+    assert_same(read, plain)
 
 
 # --- Rates ---

@@ -382,6 +382,31 @@ def test_the_axis_that_is_up_is_found(rig, tmp_path, walk, axes, sign):
     np.testing.assert_allclose(read.gravity, expected.gravity, atol=1e-5)
 
 
+@pytest.mark.parametrize("axes", ["z x y", "x y z"])
+def test_points_without_names_in_other_axes(rig, tmp_path, walk, axes):
+    """A tracker is guessed of their number, but not its axes where nobody stands in these."""
+    truth, points = walk
+    plain, read = tmp_path / "plain.npz", tmp_path / "read.npz"
+    np.savez(plain, points=points, rate_hz=RATE_HZ)
+    ours = points @ CAMERA
+    np.savez(read, points=ours if axes == "x y z" else ours[:, :, [1, 2, 0]], rate_hz=RATE_HZ)
+    plain, read = physkin.load_motion(plain), physkin.load_motion(read)
+    np.testing.assert_allclose(read.positions, plain.positions, atol=1e-4)
+    np.testing.assert_allclose(read.gravity, plain.gravity, atol=1e-4)
+
+
+def test_points_of_a_picture_are_told(tmp_path, walk, caplog):
+    """Shares of its width and height, which differ: shapes are wrong, and nothing else says so."""
+    _, points = walk
+    np.savez(tmp_path / "a.npz", points=points / [3.2, 1.8, 3.2] * 0.9 + [0.5, 0.5, 0], rate_hz=RATE_HZ)
+    physkin.load_motion(tmp_path / "a.npz")
+    assert "a.npz: x and y from 0 to 1 are those of a picture" in caplog.text
+    caplog.clear()
+    np.savez(tmp_path / "b.npz", points=points, rate_hz=RATE_HZ)
+    physkin.load_motion(tmp_path / "b.npz")
+    assert caplog.text == ""
+
+
 NOTHING = [[0.0, 1.0, 2.0]]
 
 

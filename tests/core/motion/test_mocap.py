@@ -156,6 +156,44 @@ def test_root_faces_x_stands_and_walks(rig, tmp_path):
     assert turned == pytest.approx(30, abs=0.5)
 
 
+TOES = [*JOINTS, ("LeftToeBase", "LeftFoot", (0, -6, 14)), ("RightToeBase", "RightFoot", (0, -6, 14))]
+
+
+@pytest.mark.parametrize("degrees", [30, 45, 200])
+def test_any_heading_at_rest(degrees, rig, tmp_path):
+    """As of a scene in which the figure was turned; a skeleton a little askew still looks along an axis."""
+    frames = [{**POSE, "Hips": (0, 2 * k, 5 * k), "position": (9 * k, 95, 4 * k)} for k in range(5)]
+    plain = load_mocap(write_bvh(tmp_path / "a.bvh", frames, joints=TOES), rig)[0]
+    read = load_mocap(write_turned(tmp_path / "b.bvh", frames, Rotation.from_euler("y", degrees, degrees=True)), rig)[0]
+    for field in FIELDS[:1] + FIELDS[2:]:
+        np.testing.assert_allclose(getattr(read, field), getattr(plain, field), atol=2e-3)
+
+
+def write_turned(path, frames, turn, mirror=(1, 1, 1)):
+    """The same clip in another frame, rest and all."""
+    frame = turn.as_matrix() @ np.diag(mirror)
+    joints = [(name, parent, tuple(frame @ offset)) for name, parent, offset in TOES]
+    moved = []
+    for each in frames:
+        values = {"position": tuple(frame @ each.get("position", (0, 95, 0)))}
+        for name, *_ in JOINTS:
+            rotation = frame @ Rotation.from_euler("ZXY", each.get(name, (0, 0, 0)), degrees=True).as_matrix() @ frame.T
+            values[name] = tuple(Rotation.from_matrix(rotation).as_euler("ZXY", degrees=True))
+        moved.append(values)
+    return write_bvh(path, moved, joints=joints)
+
+
+def test_mirrored_clips_walk_forwards(rig, tmp_path, caplog):
+    """Of left-handed files, and armatures of negative scale: toes tell; said, with the file."""
+    frames = [{**POSE, "Hips": (0, 2 * k, 5 * k), "position": (9 * k, 95, 4 * k)} for k in range(5)]
+    plain = load_mocap(write_bvh(tmp_path / "a.bvh", frames, joints=TOES), rig)[0]
+    assert "mirrored" not in caplog.text
+    read = load_mocap(write_turned(tmp_path / "b.bvh", frames, Rotation.identity(), (-1, 1, 1)), rig)[0]
+    for field in FIELDS:
+        np.testing.assert_allclose(getattr(read, field), getattr(plain, field), atol=2e-3)
+    assert f"{tmp_path / 'b.bvh'}: it is mirrored, as toes point backwards" in caplog.text
+
+
 def test_fast_clips_are_thinned(rig, tmp_path):
     """120 Hz becomes 60."""
     motion, _ = load_mocap(write_bvh(tmp_path / "a.bvh", [POSE] * 9, rate=120), rig)
