@@ -100,9 +100,10 @@ def find_skeleton(
     joint, worlds = {node: k for k, node in enumerate(chosen.nodes)}, chosen.worlds.copy()
     worn, left_out = dict(chosen.skins), []
     for other in figures:
-        if other is not chosen and other.human.missing:
-            other.join_space(file, chosen)
         carriers = None if other is chosen else chosen.carriers_of(other)
+        if carriers is not None and other.human.missing:
+            other.join_space(file, chosen)
+            carriers = chosen.carriers_of(other)
         if carriers is not None:
             worn |= other.skins
             added = [node for node in other.nodes if node not in joint]
@@ -120,7 +121,7 @@ def find_skeleton(
 def rigid_skeleton(file: GltfFile, rig: Rig) -> GltfSkeleton | None:
     """Of a file without skins whose nodes move rigid parts, as a robot's do: all its nodes as they stand. None where
     they are no person's, or not every limb segment has a mesh."""
-    if len(file.nodes) > MOST_BONES:
+    if not 0 < len(file.nodes) <= MOST_BONES:
         return None
     nodes, unmoved = list(range(len(file.nodes))), np.tile(np.eye(4), (len(file.nodes), 1, 1))
     figure = _Figure(file, {0: GltfSkin(nodes, unmoved, unmoved, given=False)}, rig, None)
