@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from physkin_core.formats.gltf_joints import nearest_above, skin_nodes, with_nod
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import MOST_BONES, Rig, ancestors
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 __all__ = ["GltfSkeleton", "GltfSkin", "bind_worlds", "find_skeleton", "read_skins", "rigid_skeleton"]
 
@@ -163,12 +167,10 @@ class _Figure:
         first = next(iter(figure.skins.values()))
         if not first.given or figure.worlds is file.node_worlds or not all(skin.given for skin in self.skins.values()):
             return
-        worlds = file.node_worlds.copy()
+        worlds, own = file.node_worlds.copy(), list(self.joints)
         for node, world in _bound_worlds(file, *self.skins.values(), to_scene=_to_scene(file, first)).items():
             worlds[node] = world
-        around, own = cKDTree(figure.heads), list(self.joints)
-        there, here = (np.median(around.query(each[own][:, :3, 3])[0]) for each in (worlds, self.worlds))
-        if there <= here + SAME_POSE * figure.extent:
+        if _as_near(cKDTree(figure.heads), worlds[own][:, :3, 3], self.worlds[own][:, :3, 3]):
             self.worlds, self.heads = worlds, worlds[self.nodes][:, :3, 3]
 
     def carriers_of(self, other: _Figure) -> np.ndarray | None:
@@ -291,9 +293,12 @@ def _bound_worlds(
 ) -> dict[int, np.ndarray]:
     """As `bind_worlds`, by node, of skins that hang together and of what hangs on their joints, or carries them.
     to_scene: (4, 4) from the first one's mesh space; default as `_to_scene`."""
+    from scipy.spatial import cKDTree
+
     found: dict[int, np.ndarray] = {}
     parents, to_scene = file.node_parents, _to_scene(file, first) if to_scene is None else to_scene
-    shares_space = {id(skin): _shares_space(file, skin, first) for skin in others}
+    above, around = nearest_above(file, first.place), cKDTree(first.binds[list(first.place.values())][:, :3, 3])
+    shares_space = {id(skin): _shares_space(file, skin, first, above, around) for skin in others}
 
     def world_of(node: int) -> np.ndarray | None:
         if node in first.place:
@@ -326,22 +331,26 @@ def _bound_worlds(
     return found
 
 
-def _shares_space(file: GltfFile, skin: GltfSkin, first: GltfSkin) -> bool:
+def _shares_space(file: GltfFile, skin: GltfSkin, first: GltfSkin, above: Mapping[int, int], around: cKDTree) -> bool:
     """Whether a skin's inverse bind matrices are of the first one's mesh space, as most are: its joints then lie where
-    the first one's do, at least as near as where nodes have them, which may be held in another pose."""
-    from scipy.spatial import cKDTree
+    the first one's do, at least as near as where nodes have them, which may be held in another pose.
 
-    above = {k: [each for each in ancestors(file.node_parents, k) if each in first.place] for k in skin.place}
-    hang = {joint: each[0] for joint, each in above.items() if each}
-    if not hang:
+    above: place of the first one's joint that each node hangs on. around: those joints, in its mesh space.
+    """
+    joints = [joint for joint in skin.place if joint in above]
+    if not joints:
         return False
-    carriers, joints = list(hang.values()), list(hang)
-    bound = skin.binds[[skin.place[joint] for joint in joints]][:, :3, 3]
-    seen = np.linalg.pinv(file.node_worlds[carriers]) @ file.node_worlds[joints]
-    held = (first.binds[[first.place[each] for each in carriers]] @ seen)[:, :3, 3]
-    around = cKDTree(first.binds[list(first.place.values())][:, :3, 3])
-    bound_apart, held_apart = (float(np.median(around.query(at)[0])) for at in (bound, held))
-    return bound_apart <= held_apart + SAME_POSE * float(np.ptp(around.data, axis=0).max())
+    carriers = [above[joint] for joint in joints]
+    bound = skin.binds[[skin.place[joint] for joint in joints]]
+    seen = np.linalg.pinv(file.node_worlds[[first.joints[k] for k in carriers]]) @ file.node_worlds[joints]
+    held = first.binds[carriers] @ seen
+    return _as_near(around, bound[:, :3, 3], held[:, :3, 3])
+
+
+def _as_near(around: cKDTree, there: np.ndarray, here: np.ndarray) -> bool:
+    """Whether joints are as near to those around them in one place, there (k, 3), as in another, here (k, 3)."""
+    apart = [np.median(around.query(places)[0]) for places in (there, here)]
+    return bool(apart[0] <= apart[1] + SAME_POSE * (around.maxes - around.mins).max())
 
 
 def _to_scene(file: GltfFile, skin: GltfSkin) -> np.ndarray:
