@@ -32,7 +32,7 @@ class Cut:
     """Triangles of all panels.
 
     places: (t, 2) where vertices are on the flat cloth, the second axis along the grain, with all panels beside each
-    other as they are laid out to be cut. faces: (f, 3), counter-clockwise seen from outside. panel: (f,) index into
+    other as they are laid out to be cut. drawn: (t, 2), as in the pattern. faces: (f, 3), counter-clockwise seen from outside. panel: (f,) index into
     `names` and `labels`. hung: (t, 3), about the body, see `Panel.hung`. seams: (s, 2), pairs of vertices that are sewn
     together. stitches: (s,), the stitch of each pair in words.
     """
@@ -40,6 +40,7 @@ class Cut:
     names: tuple[str, ...]
     labels: tuple[str, ...]
     places: np.ndarray
+    drawn: np.ndarray
     faces: np.ndarray
     panel: np.ndarray
     hung: np.ndarray
@@ -63,7 +64,7 @@ def cut(pattern: Pattern, edge_length: float) -> Cut:
     if not least <= edge_length <= most:
         raise PatternError(f"edge length {edge_length} m, allowed are {least} to {most} m")
     segments = _segments(pattern, edge_length)
-    places, faces, owners, hung, on_edge, first = [], [], [], [], {}, 0
+    drawn, faces, owners, hung, on_edge, first = [], [], [], [], {}, 0
     for index, panel in enumerate(pattern.panels.values()):
         outline = []
         for number, edge in enumerate(panel.edges):
@@ -72,17 +73,18 @@ def cut(pattern: Pattern, edge_length: float) -> Cut:
             outline += list(points)
         on_edge[panel.name, len(panel.edges) - 1][-1] = first
         vertices, triangles = triangulated(panel, np.array(outline), edge_length)
-        places.append(vertices - vertices.min(axis=0))
+        drawn.append(vertices)
         faces.append(first + triangles)
         owners.append(np.full(len(triangles), index))
         hung.append(panel.hung(vertices))
         first += len(vertices)
     seams = [np.column_stack([on_edge[one], on_edge[other][::-1]]) for one, other in pattern.stitches]
-    places = [own + corner for own, corner in zip(places, laid_out([own.max(axis=0) for own in places]), strict=True)]
+    corners = laid_out([np.ptp(own, axis=0) for own in drawn])
+    places = [own - own.min(axis=0) + corner for own, corner in zip(drawn, corners, strict=True)]
     return Cut(
         tuple(pattern.panels),
         tuple(panel.label for panel in pattern.panels.values()),
-        *map(np.concatenate, (places, faces, owners, hung)),
+        *map(np.concatenate, (places, drawn, faces, owners, hung)),
         np.concatenate([*seams, np.zeros((0, 2), int)]),
         np.repeat(pattern.named, [len(pairs) for pairs in seams]),
     )
