@@ -56,7 +56,7 @@ CLEARANCE = 0.03
 MOST_THROUGH = 0.7
 """Share of a seam that may close through the doll: up to 0.4 does where a bodice hangs low, all of it between wrong
 edges."""
-CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
+CLOSING, SETTLING, GROWING, SOFTENING, HANGING, SMOOTHING = 25, 5, 40, 30, 25, 15
 """Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
 between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
 cloth becomes soft while arms go down, and the sewn garment hangs."""
@@ -73,6 +73,8 @@ SEAM_STIFFNESS = 100.0, 3000.0
 LIGHT = 0.1
 """Of gravity while the doll grows: cloth stays on the shoulders, and does not slip off while they are narrow."""
 NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
+STILL = 5e-4
+"""[m] Cloth of which nothing moves farther in a step hangs."""
 LARGEST_GAP = 0.01  # [m]
 CLOSING_OFFSET = 0.003
 """[m] at which the body is felt until the cloth hangs, however far from it that is to be: sleeves leave raised arms
@@ -114,9 +116,12 @@ def sewn(
     garment = _joined(cut, vertex, _on(draft, _at_seams(closed, sewn_draft)[sewn_draft], cut))
     first = np.unique(vertex, return_index=True)[1]
     cloth = _Cloth(garment, material, body, garment.vertices, contact=(np.arange(len(first)), cut.panel_of[first], cut.places[first]))
-    for _ in range(HANGING):
-        hanging = cloth.step(1.0)
+    hanging = garment.vertices
+    for _ in range(SMOOTHING):
+        before, hanging = hanging, cloth.step(1.0)
         watch(hanging, garment.faces, avatar.vertices)
+        if np.linalg.norm(hanging - before, axis=1).max() < STILL:
+            break
     return _made(cut, hanging, garment.faces)
 
 
@@ -272,9 +277,10 @@ def _close(
     for count in range(1, GROWING + 1):
         shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll), 1.0))
         yield cloth.step(LIGHT), shape
-    for count in range(1, SOFTENING + 1):
-        cloth.bend_stiffer(CARDBOARD ** (1 - count / SOFTENING))
-        shape = cloth.meets(arms.raised(skin, 1 - count / SOFTENING))
+    for count in range(1, SOFTENING + HANGING + 1):
+        left = max(1 - count / SOFTENING, 0.0)
+        cloth.bend_stiffer(CARDBOARD**left)
+        shape = cloth.meets(arms.raised(skin, left))
         yield cloth.step(1.0), shape
 
 
