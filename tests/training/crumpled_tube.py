@@ -28,7 +28,7 @@ class CrumpledTube:
     `floor`; three of its vertices are tied to corners of the floor. It bends from the shape that it was made in.
     `potential`: of a step that `begin` told of.
 
-    only: of the energies, default all; threads draw three pairs of vertices together. worn: whether deep contact
+    only: of the energies, default all; `threads` draw three pairs of vertices together. worn: whether deep contact
     counts. scale: of the rest shape.
     """
 
@@ -37,8 +37,10 @@ class CrumpledTube:
     ) -> None:
         wp.config.quiet = True
         wp.init()
-        made = tube(rings=4, segments=7, radius=0.1, height=0.12)
-        self.garment = Garment(made.vertices, made.faces, threads=np.array([[1, 7], [4, 10], [19, 25]]))
+        self.garment = tube(rings=4, segments=7, radius=0.1, height=0.12)
+        if only == "threads":
+            threads = np.array([[1, 7], [4, 10], [19, 25]])
+            self.garment = Garment(self.garment.vertices, self.garment.faces, threads=threads)
         n = len(self.garment.vertices)
         self.offset, self.down = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[0.0, 0, -1]] * SAMPLES)
         points = np.concatenate([FLOOR + [0, 0, floor] + offset for offset in self.offset.numpy()])
