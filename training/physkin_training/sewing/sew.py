@@ -30,7 +30,7 @@ from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.energy import view
 from physkin_training.energies.motion import Dynamics
-from physkin_training.energies.seams import Seams
+from physkin_training.energies.seams import THREAD_GAP, Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.quiet_warp import wp
 from physkin_training.sewing.cloth_contact import ClothContact
@@ -255,20 +255,23 @@ def _close(
     shapes: of the body, the doll and its own."""
     doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
-    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, contact=(vertex, cut.panel_of, cut.places), seams=cut.seams)
+    pairs = np.concatenate([cut.seams, cut.threads])
+    near = vertex, cut.panel_of, cut.places
+    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, contact=near, seams=pairs)
     cloth.bend_stiffer(CARDBOARD)
     cloth.contact.look(cloth._here)
     cloth.contact.let_through()
     seams, (loose, tight) = cloth.seams, SEAM_STIFFNESS
     seams.stiffness.fill_(loose)
-    apart = torch.as_tensor(np.linalg.norm(hung[cut.seams[:, 1]] - hung[cut.seams[:, 0]], axis=1))
+    apart = torch.as_tensor(np.linalg.norm(hung[pairs[:, 1]] - hung[pairs[:, 0]], axis=1))
+    left = torch.as_tensor(np.repeat([0.0, THREAD_GAP], [len(cut.seams), len(cut.threads)]))
     heights = hung[cut.seams, 2].mean(axis=1)
     staying = (cut.panel_of[cut.seams] == _staying(cut)).any(axis=1)
     highest = cut.seams[staying & (heights > heights[staying].max() - HIGHEST)]
-    labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[cut.seams]]
+    labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[pairs]]
     begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
     for count in range(1, 2 * CLOSING + SETTLING + 1):
-        seams.gap.copy_(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0))
+        seams.gap.copy_(torch.maximum(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0), left))
         shape = cloth.meets(arms.raised(doll, min(max(count / CLOSING - 1, 0.0), 1.0)))
         closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
         yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
@@ -309,8 +312,10 @@ def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
     """The garment of vertices (n, 3) and faces (f, 3). Where few faces are squashed, they are pulled open."""
     panels = cut.places, cut.faces
     vertices = opened(vertices, faces, *panels)
+    vertex = np.empty(len(cut.places), int)
+    vertex[cut.faces] = faces
     try:
-        return Garment(vertices, faces, None, *panels)
+        return Garment(vertices, faces, None, *panels, vertex[cut.threads] if len(cut.threads) else None)
     except GarmentError as error:
         bad = squashed(vertices, faces, *panels)
         most = cut.names[np.bincount(cut.panel[bad]).argmax()] if bad.any() else None
