@@ -63,7 +63,7 @@ cloth becomes soft while arms go down, and the sewn garment hangs."""
 HIGHEST = 0.05
 """While seams close, the panel that stays at its height is held by its seams up to this far [m] below the highest, so
 that nothing pulls a bodice off the shoulders."""
-STEP, CARDBOARD_STEP = 0.05, 0.5
+STEP, CARDBOARD_STEP, CALM_STEP = 0.05, 0.5, 0.02
 """[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it."""
 CARDBOARD = 300.0
 """Times that cloth bends as stiffly until then: panels come together as they are instead of curling up, and sleeves
@@ -118,7 +118,7 @@ def sewn(
     cloth = _Cloth(garment, material, body, garment.vertices, contact=(np.arange(len(first)), cut.panel_of[first], cut.places[first]))
     hanging = garment.vertices
     for _ in range(SMOOTHING):
-        before, hanging = hanging, cloth.step(1.0)
+        before, hanging = hanging, cloth.step(1.0, seconds=CALM_STEP)
         watch(hanging, garment.faces, avatar.vertices)
         if np.linalg.norm(hanging - before, axis=1).max() < STILL:
             break
