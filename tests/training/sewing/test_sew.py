@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from training.sewing.patterns import buttons, panel, sides, tube_skirt, written
 
 from physkin_core import load_body_model
@@ -15,8 +17,9 @@ from physkin_core.model.garment_model import Material
 from physkin_core.quality import edge_strain
 from physkin_training.contact.surface_queries import BodySurface, piercing_edges
 from physkin_training.sewing.cut import cut
+from physkin_training.sewing.paper_doll import Arms, paper_doll
 from physkin_training.sewing.pattern import PatternError, load_pattern
-from physkin_training.sewing.sew import Arms, _joined, _made, _sewn_together, paper_doll, sewn
+from physkin_training.sewing.sew import _check_closed, _made, sewn
 from physkin_training.sewing.squashed_faces import opened, squashed
 
 CPU = torch.device("cpu")
@@ -69,7 +72,15 @@ def test_a_skirt_that_is_buttoned_in_front(tmp_path, template):
 
 
 def test_the_paper_doll(template):
-    doll, raised = paper_doll(template, RIG), Arms(template, RIG).raised(paper_doll(template, RIG), 1.0)
+    """Its arms go up with two sleeves that turn by 30 degrees, which hang along them."""
+    doll, arms = paper_doll(template, RIG), Arms(template, RIG)
+    sleeve = np.array([[0, 0.4, 0.3], [0, 0.6, 0.1], [0, 0.5, 0.1]])
+    sleeves = np.concatenate([sleeve, sleeve * [1, -1, 1]])
+    half = np.radians(30.0) * np.array([1, -1])
+    turned = [Rotation.from_euler("x", angle).apply(part) for angle, part in zip(half, np.split(sleeves, 2))]
+    cut_of_sleeves = SimpleNamespace(labels=("arm",), panel_of=np.zeros(6, int))
+    arms.follow(cut_of_sleeves, sleeves, np.concatenate(turned) + 0.1)
+    raised = arms.raised(doll)
     assert np.ptp(doll[:, 0]) < 0.5 * np.ptp(template.vertices[:, 0])
     hand = RIG.bone_names.index("wrist.L")
     in_hand = ((template.influence_bones == hand) & (template.influence_weights > 0.99)).any(axis=1)
@@ -94,7 +105,7 @@ def test_a_seam_that_does_not_close(mesh):
     apart = np.column_stack([0.12 * mesh.panel_of, mesh.places])
     words = "the seam of edge 3 of panel 'front' to edge 0 of 'back' does not close: .* does it fit the body"
     with pytest.raises(PatternError, match=words):
-        _joined(mesh, apart, _sewn_together(mesh))
+        _check_closed(mesh, apart)
 
 
 def test_a_seam_between_wrong_edges(tmp_path, template):

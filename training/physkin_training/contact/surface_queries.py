@@ -12,7 +12,7 @@ import numpy as np
 from physkin_core.model.garment import vertex_normals
 from physkin_training.quiet_warp import wp
 
-__all__ = ["FARTHEST", "BodySurface", "Closest", "covering_faces", "layers_near", "piercing_edges"]
+__all__ = ["FARTHEST", "BodySurface", "Closest", "covering_faces", "goes_through", "layers_near", "piercing_edges"]
 
 FARTHEST = 10.0
 """The body is looked for up to this distance [m]."""
@@ -62,35 +62,38 @@ def met_kernel(
         barycentric[i] = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
 
 
+@wp.func
+def goes_through(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Whether the edge from p to q crosses the face a, b, c (Moeller and Trumbore 1997)."""
+    side1, side2 = b - a, c - a
+    across = wp.cross(q - p, side2)
+    volume = wp.dot(side1, across)
+    if wp.abs(volume) <= 1.0e-16:
+        return False
+    turned = wp.cross(p - a, side1)
+    u, v = wp.dot(p - a, across) / volume, wp.dot(q - p, turned) / volume
+    along = wp.dot(side2, turned) / volume
+    return u > 0.0 and v > 0.0 and u + v < 1.0 and along > 0.0 and along < 1.0
+
+
 @wp.kernel
 def piercing_kernel(
     mesh_id: wp.uint64,
     edges: wp.array2d(dtype=wp.int32),
     pierces: wp.array(dtype=wp.bool),
 ):
-    """Whether an edge crosses a face that shares no vertex with it (Moeller and Trumbore 1997)."""
+    """Whether an edge crosses a face that shares no vertex with it."""
     i = wp.tid()
     mesh = wp.mesh_get(mesh_id)
     a, b = edges[i, 0], edges[i, 1]
     p, q = mesh.points[a], mesh.points[b]
-    along_edge = q - p
     query = wp.mesh_query_aabb(mesh_id, wp.min(p, q), wp.max(p, q))
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
         i0, i1, i2 = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
         if i0 != a and i1 != a and i2 != a and i0 != b and i1 != b and i2 != b:
-            x0 = mesh.points[i0]
-            side1, side2 = mesh.points[i1] - x0, mesh.points[i2] - x0
-            across = wp.cross(along_edge, side2)
-            volume = wp.dot(side1, across)
-            if wp.abs(volume) > 1.0e-16:
-                offset = p - x0
-                u = wp.dot(offset, across) / volume
-                turned = wp.cross(offset, side1)
-                v = wp.dot(along_edge, turned) / volume
-                along = wp.dot(side2, turned) / volume
-                if u > 0.0 and v > 0.0 and u + v < 1.0 and along > 0.0 and along < 1.0:
-                    pierces[i] = True
+            if goes_through(p, q, mesh.points[i0], mesh.points[i1], mesh.points[i2]):
+                pierces[i] = True
 
 
 @wp.kernel

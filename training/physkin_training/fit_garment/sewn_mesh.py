@@ -14,12 +14,14 @@ from physkin_core.mesh.mesh_file import MeshFile
 from physkin_core.model.garment_model import Material
 from physkin_core.rig.rig import Rig
 from physkin_training.fit_garment.fitting import CLEARANCE, SOFT
-from physkin_training.sewing.cut import cut
-from physkin_training.sewing.pattern import load_pattern
+from physkin_training.sewing.cut import Cut, cut
+from physkin_training.sewing.pattern import Pattern, PatternError, load_pattern
 from physkin_training.sewing.sew import sewn
 
 __all__ = ["EDGE_LENGTH", "PATTERN_SUFFIX", "sewn_mesh"]
 
+DRAFT = 0.025
+"""[m] of the triangles that it is sewn with before it hangs."""
 log = logging.getLogger(__name__)
 PATTERN_SUFFIX = ".json"
 EDGE_LENGTH = 0.015
@@ -32,11 +34,20 @@ def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, devic
     Its texture coordinates are those on the flat cloth, its parts are the panels, its line elements the threads.
     edge_length: of the triangles [m]. Raises PatternError as `load_pattern`, `cut` and `sewn` do.
     """
-    pieces = cut(load_pattern(path), edge_length)
+    pattern = load_pattern(path)
+    pieces = cut(pattern, edge_length)
     log.info("%s: %d panels of %d vertices are sewn", path, len(pieces.names), len(pieces.places))
     material = Material(contact_offset=CLEARANCE + SOFT)
-    garment = sewn(pieces, avatar, rig, material, device)
+    garment = sewn(pieces, avatar, rig, material, device, draft=_draft(pattern, edge_length))
     uv = garment.panel_places[garment.panel_faces]
     look = Look(uv, np.full(len(garment.faces), -1), pieces.panel, parts=pieces.names)
     threads = np.zeros((0, 2), int) if garment.threads is None else garment.threads
     return MeshFile(garment.vertices, garment.faces, 0, look, threads)
+
+
+def _draft(pattern: Pattern, edge_length: float) -> Cut | None:
+    """A cut in longer edges; None for a panel that is too narrow for them."""
+    try:
+        return cut(pattern, DRAFT) if edge_length < DRAFT else None
+    except PatternError:
+        return None

@@ -1,9 +1,13 @@
-"""Cloth that feels itself while it is sewn: it is held off itself, and never goes through itself.
+"""Cloth that feels itself while it is sewn: it is held off itself, and does not go through itself.
 
-Before every step of the solver pairs of places that are near each other are looked for: a vertex and a face, or two
-edges. A pair that is nearer than an offset is pushed apart. No vertex goes beyond the plane halfway between the two
-sides of its pairs, so that whatever the step is they are still apart after it; what is in no pair goes less far than
-would bring it to another place that is in none (planes of division, after Chen et al. 2025, *Offset Geometric Contact*).
+From time to time pairs of places that are near each other are looked for: a vertex and a face, or two edges. Places of
+a pair that are nearer than an offset are pushed apart. No vertex goes beyond the plane halfway between the two places
+of its pairs, and none so far that places in no pair could meet; so cloth that is apart stays apart, whatever a solver
+does (planes of division; Chen et al. 2025, *Offset Geometric Contact*).
+
+Where cloth goes through itself all the same, as panels may when they are hung, nothing of this holds, or it would stay
+so. Instead, an edge that goes through a face is moved in the direction that shortens the curve in which the two sheets
+meet (Volino and Magnenat-Thalmann 2006, *Resolving surface collisions through intersection contour minimization*).
 
 Dimensions: `n` vertices, `f` faces, `e` edges, `p` pairs. Metres.
 """
@@ -13,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from physkin_training.contact.surface_queries import goes_through
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
 
@@ -24,207 +29,235 @@ OFFSET = 0.003
 """[m] Cloth nearer to itself than this is pushed apart."""
 STIFFNESS = 5e5
 """[J/m4]: energy = stiffness * area * (depth below the offset)^2."""
+BESIDE = 0.006
+"""[m] Places of one panel that are nearer than this on the flat cloth are not pushed apart."""
 REACH = 0.7
 """Pairs are looked for within this share of the edges' mean length."""
 KEPT = 0.9
-"""Share of the distance to the plane between the two sides of a pair that a vertex may go."""
-BESIDE = 0.006
-"""[m] What is nearer than this on the flat cloth is not pushed apart."""
+"""Share of the distance to the plane between the places of a pair that a vertex may go."""
+STEEP = 0.1
+"""Cosine between an edge and a face's normal, below which it counts as this."""
 PAIRS = 24
-"""As many pairs at most, a vertex on average."""
+"""As many pairs at most, for each vertex on average."""
 
 
 @wp.struct
-class Pairs:
-    """count: (1,). corners: (p, 4) vertices, and share: (p, 4) of them in the vector (p,) from the second side's
-    closest point to the first's, whose direction and length are `apart` and `distance`. first: (p,) how many of them
-    are of the first side. pushed: (p,) whether they are held off each other."""
-
-    count: wp.array(dtype=wp.int32)
-    corners: wp.array(dtype=wp.vec4i)
-    share: wp.array(dtype=wp.vec4)
-    apart: wp.array(dtype=wp.vec3)
-    distance: wp.array(dtype=wp.float32)
-    first: wp.array(dtype=wp.int32)
-    pushed: wp.array(dtype=wp.bool)
-
-
-@wp.struct
-class Topology:
-    """Of the cloth. sewn: (n,) equal for vertices that become one. panel: (n,). place: (n,) [m] on the flat cloth.
-    edges: (e, 2). face_edges: (f, 3). owner: (e,) the face that an edge is looked at with. opposite: (e, 2)
-    the third corners of an edge's faces, or -1. apart: (panels, panels) whether two panels feel each other."""
+class Sheets:
+    """The cloth. sewn: (n,) equal for vertices that become one. panel: (n,). place: (n,) [m] on the flat cloth. edges:
+    (e,). opposite: (e,) third corners of an edge's faces, or -1. face_edges: (f,). owner: (e,) the face that an edge is
+    looked at with. feel: (panels, panels) whether two panels feel each other. Where it was looked at last: face: (e,)
+    that an edge goes through, or -1; towards: (e,) where that edge has to go; tangled: (n,) corners of such edges and
+    faces."""
 
     sewn: wp.array(dtype=wp.int32)
     panel: wp.array(dtype=wp.int32)
     place: wp.array(dtype=wp.vec2)
     edges: wp.array(dtype=wp.vec2i)
+    opposite: wp.array(dtype=wp.vec2i)
     face_edges: wp.array(dtype=wp.vec3i)
     owner: wp.array(dtype=wp.int32)
-    opposite: wp.array(dtype=wp.vec2i)
-    apart: wp.array2d(dtype=wp.bool)
+    feel: wp.array2d(dtype=wp.bool)
+    face: wp.array(dtype=wp.int32)
+    towards: wp.array(dtype=wp.vec3)
     tangled: wp.array(dtype=wp.bool)
 
 
+@wp.struct
+class Pairs:
+    """count: (1,). corners: (p,) vertices, the first `split` (p,) of them on the one side. share: (p,) of each in the
+    vector from the place on the other side to that on this one, whose direction and length are `apart` and `distance`.
+    pushed: (p,) whether they are pushed apart where they are near."""
+
+    count: wp.array(dtype=wp.int32)
+    corners: wp.array(dtype=wp.vec4i)
+    split: wp.array(dtype=wp.int32)
+    share: wp.array(dtype=wp.vec4)
+    apart: wp.array(dtype=wp.vec3)
+    distance: wp.array(dtype=wp.float32)
+    pushed: wp.array(dtype=wp.bool)
+
+
 @wp.func
-def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Barycentric coordinates of the closest point (Ericson 2005, section 5.1.5)."""
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = wp.dot(ab, ap), wp.dot(ac, ap)
+def closest_on_face(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Barycentric coordinates of the closest point (Ericson 2005, *Real-time collision detection*, section 5.1.5)."""
+    ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
+    d1, d2, d3, d4, d5, d6 = (
+        wp.dot(ab, ap),
+        wp.dot(ac, ap),
+        wp.dot(ab, bp),
+        wp.dot(ac, bp),
+        wp.dot(ab, cp),
+        wp.dot(ac, cp),
+    )
     if d1 <= 0.0 and d2 <= 0.0:
         return wp.vec3(1.0, 0.0, 0.0)
-    bp = p - b
-    d3, d4 = wp.dot(ab, bp), wp.dot(ac, bp)
     if d3 >= 0.0 and d4 <= d3:
         return wp.vec3(0.0, 1.0, 0.0)
-    vc = d1 * d4 - d3 * d2
+    if d6 >= 0.0 and d5 <= d6:
+        return wp.vec3(0.0, 0.0, 1.0)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         v = d1 / (d1 - d3)
         return wp.vec3(1.0 - v, v, 0.0)
-    cp = p - c
-    d5, d6 = wp.dot(ab, cp), wp.dot(ac, cp)
-    if d6 >= 0.0 and d5 <= d6:
-        return wp.vec3(0.0, 0.0, 1.0)
-    vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         w = d2 / (d2 - d6)
         return wp.vec3(1.0 - w, 0.0, w)
-    va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         return wp.vec3(0.0, 1.0 - w, w)
-    total = va + vb + vc
-    return wp.vec3(va / total, vb / total, vc / total)
+    return wp.vec3(va, vb, vc) / (va + vb + vc)
 
 
 @wp.func
-def append(
-    pairs: Pairs,
-    topology: Topology,
-    corners: wp.vec4i,
-    share: wp.vec4,
-    first: wp.int32,
-    away: wp.vec3,
-):
-    if not topology.apart[topology.panel[corners[0]], topology.panel[corners[3]]]:
+def append(sheets: Sheets, pairs: Pairs, corners: wp.vec4i, split: wp.int32, share: wp.vec4, away: wp.vec3):
+    """Panels that do not feel each other make no pair, and what goes through itself on both sides neither."""
+    if not sheets.feel[sheets.panel[corners[0]], sheets.panel[corners[3]]]:
         return
     tangled = wp.vec2i(0, 0)
     for k in range(4):
-        if topology.tangled[corners[k]]:
-            tangled[wp.where(k < first, 0, 1)] = 1
+        if sheets.tangled[corners[k]]:
+            tangled[wp.where(k < split, 0, 1)] = 1
     if tangled[0] + tangled[1] == 2:
         return
     at = wp.atomic_add(pairs.count, 0, 1)
     if at < pairs.corners.shape[0]:
         distance = wp.length(away)
         pairs.corners[at] = corners
+        pairs.split[at] = split
         pairs.share[at] = share
         pairs.apart[at] = away / distance
         pairs.distance[at] = distance
-        pairs.first[at] = first
         flat = wp.vec2(0.0, 0.0)
         for k in range(4):
-            flat += share[k] * topology.place[corners[k]]
-        one_panel = topology.panel[corners[0]] == topology.panel[corners[3]]
+            flat += share[k] * sheets.place[corners[k]]
+        one_panel = sheets.panel[corners[0]] == sheets.panel[corners[3]]
         pairs.pushed[at] = not one_panel or wp.length(flat) > BESIDE
 
 
 @wp.kernel
-def vertex_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs, reach: wp.float32):
+def vertex_pairs_kernel(mesh_id: wp.uint64, reach: wp.float32, sheets: Sheets, pairs: Pairs):
+    """Of one vertex."""
     v = wp.tid()
     mesh = wp.mesh_get(mesh_id)
-    x = mesh.points[v]
+    x, own = mesh.points[v], sheets.sewn[v]
     around = wp.vec3(reach, reach, reach)
     query = wp.mesh_query_aabb(mesh_id, x - around, x + around)
     face = wp.int32(0)
-    own = topology.sewn[v]
     while wp.mesh_query_aabb_next(query, face):
         a, b, c = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
-        if topology.sewn[a] != own and topology.sewn[b] != own and topology.sewn[c] != own:
-            at = closest_on_triangle(x, mesh.points[a], mesh.points[b], mesh.points[c])
+        if sheets.sewn[a] != own and sheets.sewn[b] != own and sheets.sewn[c] != own:
+            at = closest_on_face(x, mesh.points[a], mesh.points[b], mesh.points[c])
             away = x - at[0] * mesh.points[a] - at[1] * mesh.points[b] - at[2] * mesh.points[c]
             distance = wp.length(away)
             if distance < reach and distance > 1.0e-7:
-                append(pairs, topology, wp.vec4i(v, a, b, c), wp.vec4(1.0, -at[0], -at[1], -at[2]), 1, away)
+                append(sheets, pairs, wp.vec4i(v, a, b, c), 1, wp.vec4(1.0, -at[0], -at[1], -at[2]), away)
 
 
 @wp.func
-def look_at_edges(points: wp.array(dtype=wp.vec3), topology: Topology, pairs: Pairs, reach: wp.float32, one: wp.vec2i, other: wp.vec2i):
-    a, b, c, d = one[0], one[1], other[0], other[1]
-    own_a, own_b, own_c, own_d = topology.sewn[a], topology.sewn[b], topology.sewn[c], topology.sewn[d]
-    if own_c != own_a and own_c != own_b and own_d != own_a and own_d != own_b:
-        p, q, r, s = points[a], points[b], points[c], points[d]
+def are_joined(sheets: Sheets, one: wp.vec2i, other: wp.vec2i):
+    """Whether two edges have an end in common."""
+    a, b, c, d = sheets.sewn[one[0]], sheets.sewn[one[1]], sheets.sewn[other[0]], sheets.sewn[other[1]]
+    return a == c or a == d or b == c or b == d
+
+
+@wp.func
+def look_at_edges(
+    points: wp.array(dtype=wp.vec3), reach: wp.float32, sheets: Sheets, pairs: Pairs, one: wp.vec2i, other: wp.vec2i
+):
+    if not are_joined(sheets, one, other):
+        p, q, r, s = points[one[0]], points[one[1]], points[other[0]], points[other[1]]
         at = wp.closest_point_edge_edge(p, q, r, s, 1.0e-9)
-        away = (p + at[0] * (q - p)) - (r + at[1] * (s - r))
+        away = p + at[0] * (q - p) - r - at[1] * (s - r)
         distance = wp.length(away)
         if distance < reach and distance > 1.0e-7:
             share = wp.vec4(1.0 - at[0], at[0], at[1] - 1.0, -at[1])
-            append(pairs, topology, wp.vec4i(a, b, c, d), share, 2, away)
+            append(sheets, pairs, wp.vec4i(one[0], one[1], other[0], other[1]), 2, share, away)
 
 
 @wp.kernel
-def edge_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs, reach: wp.float32):
+def edge_pairs_kernel(mesh_id: wp.uint64, reach: wp.float32, sheets: Sheets, pairs: Pairs):
+    """Of one edge."""
     e = wp.tid()
     mesh = wp.mesh_get(mesh_id)
-    edge = topology.edges[e]
+    edge = sheets.edges[e]
     p, q = mesh.points[edge[0]], mesh.points[edge[1]]
     around = wp.vec3(reach, reach, reach)
     query = wp.mesh_query_aabb(mesh_id, wp.min(p, q) - around, wp.max(p, q) + around)
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
         for k in range(3):
-            other = topology.face_edges[face][k]
-            if other > e and topology.owner[other] == face:
-                look_at_edges(mesh.points, topology, pairs, reach, edge, topology.edges[other])
+            other = sheets.face_edges[face][k]
+            if other > e and sheets.owner[other] == face:
+                look_at_edges(mesh.points, reach, sheets, pairs, edge, sheets.edges[other])
+
+
+@wp.func
+def shorter_curve(p: wp.vec3, edge: wp.vec3, normal: wp.vec3, opposite: wp.vec3):
+    """Where an edge from p along a unit vector, of a face whose third corner is given, has to go from the place where
+    it crosses another face with that normal, so that the curve gets shorter which begins there."""
+    inwards = opposite - p
+    inwards = inwards - wp.dot(inwards, edge) * edge
+    along = wp.normalize(wp.cross(normal, wp.cross(edge, inwards)))
+    if wp.dot(along, inwards) < 0.0:
+        along = -along
+    steep = wp.dot(edge, normal)
+    steep = wp.where(steep < 0.0, wp.min(steep, -STEEP), wp.max(steep, STEEP))
+    return along - (wp.dot(along, edge) / steep) * normal
 
 
 @wp.kernel
-def crossings_kernel(mesh_id: wp.uint64, topology: Topology, tangled: wp.array(dtype=wp.bool), face: wp.array(dtype=wp.int32), along: wp.array(dtype=wp.vec3)):
-    """The face that each edge goes through, or -1, and the direction [unit vector] in which the edge has to move."""
+def crossings_kernel(mesh_id: wp.uint64, sheets: Sheets):
+    """Of one edge."""
     e = wp.tid()
     mesh = wp.mesh_get(mesh_id)
-    a, b = topology.edges[e][0], topology.edges[e][1]
-    p, q = mesh.points[a], mesh.points[b]
-    own_a, own_b = topology.sewn[a], topology.sewn[b]
-    face[e] = -1
+    ends = sheets.edges[e]
+    p, q = mesh.points[ends[0]], mesh.points[ends[1]]
+    sheets.face[e] = -1
     query = wp.mesh_query_aabb(mesh_id, wp.min(p, q), wp.max(p, q))
-    found = wp.int32(0)
-    while wp.mesh_query_aabb_next(query, found):
-        c, d, f = mesh.indices[3 * found], mesh.indices[3 * found + 1], mesh.indices[3 * found + 2]
-        beside = topology.sewn[c] == own_a or topology.sewn[c] == own_b
-        beside = beside or topology.sewn[d] == own_a or topology.sewn[d] == own_b
-        beside = beside or topology.sewn[f] == own_a or topology.sewn[f] == own_b
-        if not beside and topology.apart[topology.panel[a], topology.panel[c]]:
-            x0 = mesh.points[c]
-            side1, side2 = mesh.points[d] - x0, mesh.points[f] - x0
-            across = wp.cross(q - p, side2)
-            volume = wp.dot(side1, across)
-            if wp.abs(volume) > 1.0e-16:
-                u = wp.dot(p - x0, across) / volume
-                turned = wp.cross(p - x0, side1)
-                v = wp.dot(q - p, turned) / volume
-                at = wp.dot(side2, turned) / volume
-                if u > 0.0 and v > 0.0 and u + v < 1.0 and at > 0.0 and at < 1.0:
-                    face[e] = found
-                    edge, normal = wp.normalize(q - p), wp.normalize(wp.cross(side1, side2))
-                    steep = wp.dot(edge, normal)
-                    steep = wp.where(steep < 0.0, wp.min(steep, -0.1), wp.max(steep, 0.1))
-                    total = wp.vec3(0.0, 0.0, 0.0)
-                    for k in range(2):
-                        o = topology.opposite[e][k]
-                        if o >= 0:
-                            inwards = mesh.points[o] - p
-                            inwards = inwards - wp.dot(inwards, edge) * edge
-                            ray = wp.normalize(wp.cross(normal, wp.cross(edge, inwards)))
-                            if wp.dot(ray, inwards) < 0.0:
-                                ray = -ray
-                            total += ray - (wp.dot(ray, edge) / steep) * normal
-                    along[e] = wp.normalize(total)
-                    tangled[a] = True
-                    tangled[b] = True
-                    tangled[c] = True
-                    tangled[d] = True
-                    tangled[f] = True
+    face = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, face):
+        a, b, c = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
+        beside = are_joined(sheets, ends, wp.vec2i(a, b)) or are_joined(sheets, ends, wp.vec2i(c, c))
+        if not beside and sheets.feel[sheets.panel[ends[0]], sheets.panel[a]]:
+            if goes_through(p, q, mesh.points[a], mesh.points[b], mesh.points[c]):
+                sheets.face[e] = face
+                edge, normal = wp.normalize(q - p), wp.mesh_eval_face_normal(mesh_id, face)
+                towards = wp.vec3(0.0, 0.0, 0.0)
+                for k in range(2):
+                    opposite = sheets.opposite[e][k]
+                    if opposite >= 0:
+                        towards += shorter_curve(p, edge, normal, mesh.points[opposite])
+                sheets.towards[e] = wp.normalize(towards)
+                sheets.tangled[ends[0]] = True
+                sheets.tangled[ends[1]] = True
+                sheets.tangled[a] = True
+                sheets.tangled[b] = True
+                sheets.tangled[c] = True
+
+
+@wp.kernel
+def push_kernel(
+    drapes: Drapes, rest: Rest, pairs: Pairs, energy: wp.array2d(dtype=wp.float32), blocks: wp.array2d(dtype=wp.mat33)
+):
+    """One pair. Shares of either side add up to 1, so that twice their own size bounds the second derivative by blocks
+    on the diagonal alone."""
+    k = wp.tid()
+    if not pairs.pushed[k]:
+        return
+    corners, share, apart = pairs.corners[k], pairs.share[k], pairs.apart[k]
+    distance, area = 0.0, 0.0
+    for i in range(4):
+        distance += share[i] * wp.dot(drapes.x[0, corners[i]], apart)
+        area += 0.5 * wp.abs(share[i]) * rest.vertex_area[0, corners[i]]
+    depth = OFFSET - distance
+    if depth <= 0.0:
+        return
+    stiffness = STIFFNESS * area
+    for i in range(4):
+        if share[i] != 0.0:
+            wp.atomic_add(drapes.gradient, 0, corners[i], (-2.0 * stiffness * depth * share[i]) * apart)
+            wp.atomic_add(blocks, 0, corners[i], (4.0 * stiffness * wp.abs(share[i])) * wp.outer(apart, apart))
+    wp.atomic_add(energy, 0, corners[0], stiffness * depth * depth)
 
 
 @wp.func
@@ -239,184 +272,142 @@ def untangle_kernel(
     drapes: Drapes,
     rest: Rest,
     mesh_id: wp.uint64,
-    topology: Topology,
-    face: wp.array(dtype=wp.int32),
-    along: wp.array(dtype=wp.vec3),
+    sheets: Sheets,
     energy: wp.array2d(dtype=wp.float32),
-    curvature: wp.array2d(dtype=wp.mat33),
+    blocks: wp.array2d(dtype=wp.mat33),
 ):
+    """One edge that goes through a face: both are moved with the force that pushes places apart which touch."""
     e = wp.tid()
-    if face[e] < 0:
+    if sheets.face[e] < 0:
         return
     mesh = wp.mesh_get(mesh_id)
-    push = along[e]
-    a = topology.edges[e][0]
-    force = STIFFNESS * rest.vertex_area[0, a] * OFFSET
-    stiffness = 4.0 * STIFFNESS * rest.vertex_area[0, a]
+    towards, stiffness = sheets.towards[e], 2.0 * STIFFNESS * rest.vertex_area[0, sheets.edges[e][0]]
     for k in range(5):
-        v = corner_of(topology.edges[e], mesh.indices, face[e], k)
-        share = wp.where(k < 2, 0.5, -1.0 / 3.0)
-        wp.atomic_add(drapes.gradient, 0, v, (-force * share) * push)
-        wp.atomic_add(curvature, 0, v, (stiffness * wp.abs(share)) * wp.outer(push, push))
-        wp.atomic_add(energy, 0, v, -force * share * wp.dot(push, drapes.x[0, v] - mesh.points[v]))
+        v = corner_of(sheets.edges[e], mesh.indices, sheets.face[e], k)
+        force = stiffness * OFFSET * wp.where(k < 2, 0.5, -1.0 / 3.0)
+        wp.atomic_add(drapes.gradient, 0, v, -force * towards)
+        wp.atomic_add(blocks, 0, v, (wp.abs(force) / OFFSET) * wp.outer(towards, towards))
+        wp.atomic_add(energy, 0, v, -force * wp.dot(towards, drapes.x[0, v] - mesh.points[v]))
 
 
 @wp.kernel
-def push_kernel(
-    drapes: Drapes,
-    rest: Rest,
-    pairs: Pairs,
-    energy: wp.array2d(dtype=wp.float32),
-    curvature: wp.array2d(dtype=wp.mat33),
-):
-    """The second derivative is a bound on the diagonal blocks: shares of both sides add up to 1 each."""
-    k = wp.tid()
-    if k >= wp.min(pairs.count[0], pairs.corners.shape[0]) or not pairs.pushed[k]:
-        return
-    corners, share, apart = pairs.corners[k], pairs.share[k], pairs.apart[k]
-    across = wp.vec3(0.0, 0.0, 0.0)
-    area = float(0.0)
-    for i in range(4):
-        across += share[i] * drapes.x[0, corners[i]]
-        area += 0.5 * wp.abs(share[i]) * rest.vertex_area[0, corners[i]]
-    depth = OFFSET - wp.dot(across, apart)
-    if depth <= 0.0:
-        return
-    stiffness = STIFFNESS * area
-    for i in range(4):
-        if share[i] != 0.0:
-            wp.atomic_add(drapes.gradient, 0, corners[i], (-2.0 * stiffness * depth * share[i]) * apart)
-            wp.atomic_add(curvature, 0, corners[i], (4.0 * stiffness * wp.abs(share[i])) * wp.outer(apart, apart))
-    wp.atomic_add(energy, 0, corners[0], stiffness * depth * depth)
-
-
-@wp.kernel
-def add_curvature_kernel(curvature: wp.array2d(dtype=wp.mat33), blocks: Blocks):
+def add_blocks_kernel(own: wp.array2d(dtype=wp.mat33), blocks: Blocks):
     s, v = wp.tid()
     if blocks.active[s]:
-        wp.atomic_add(blocks.all, s, blocks.slots[v, 0], curvature[s, v])
+        wp.atomic_add(blocks.all, s, blocks.slots[v, 0], own[s, v])
 
 
 @wp.kernel
 def allowed_kernel(
     pairs: Pairs, start: wp.array(dtype=wp.vec3), step: wp.array(dtype=wp.vec3), allowed: wp.array(dtype=wp.float32)
 ):
-    """The share of each vertex's step that its pairs allow."""
+    """One pair: how large a share of their steps its vertices may go."""
     k = wp.tid()
-    if k >= wp.min(pairs.count[0], pairs.corners.shape[0]):
-        return
     corners, apart = pairs.corners[k], pairs.apart[k]
-    share = pairs.share[k]
-    second = wp.vec3(0.0, 0.0, 0.0)
+    middle = 0.5 * pairs.distance[k]
     for i in range(4):
-        if i >= pairs.first[k]:
-            second -= share[i] * start[corners[i]]
-    middle = wp.dot(second, apart) + 0.5 * pairs.distance[k]
+        if i >= pairs.split[k]:
+            middle -= pairs.share[k][i] * wp.dot(start[corners[i]], apart)
     for i in range(4):
-        side = 1.0
-        if i >= pairs.first[k]:
-            side = -1.0
-        v = corners[i]
+        v, side = corners[i], wp.where(i < pairs.split[k], 1.0, -1.0)
         room = KEPT * side * (wp.dot(start[v], apart) - middle)
-        towards = -side * wp.dot(step[v], apart)
-        if towards > room:
-            wp.atomic_min(allowed, v, wp.max(room, 0.0) / towards)
+        closer = -side * wp.dot(step[v], apart)
+        if closer > room:
+            wp.atomic_min(allowed, v, wp.max(room, 0.0) / closer)
 
 
 class ClothContact(Energy):
     """One sample of cloth against itself. sewn: (n,) equal for vertices that become one, or are one. panel: (n,), and
-    places: (n, 2) [m] on the flat cloth; of a vertex on several panels any."""
+    places: (n, 2) [m] on the flat cloth, of a vertex on several panels on any of them."""
 
     name = "own_cloth"
 
     def __init__(self, cloth: Cloth, sewn: np.ndarray, panel: np.ndarray, places: np.ndarray) -> None:
         garment, n = cloth.garment, len(cloth.garment.vertices)
         super().__init__(cloth, np.arange(n)[:, None])
-        self._device = wp.device_from_torch(cloth.device)
+        self._device = device = wp.device_from_torch(cloth.device)
+        self._panel, self._edges = panel, len(garment.edges)
         self._reach = REACH * float(garment.edge_lengths.mean())
         self._farthest = 0.5 * KEPT * self._reach
-        most = PAIRS * n
-        self._pairs = pairs = Pairs()
-        for name, dtype in (("corners", wp.vec4i), ("share", wp.vec4), ("apart", wp.vec3), ("distance", wp.float32)):
-            setattr(pairs, name, wp.zeros(most, dtype=dtype, device=self._device))
-        pairs.count = wp.zeros(1, dtype=wp.int32, device=self._device)
-        pairs.first = wp.zeros(most, dtype=wp.int32, device=self._device)
-        pairs.pushed = wp.zeros(most, dtype=wp.bool, device=self._device)
-        self._topology = topology = Topology()
-        owner = np.zeros(len(garment.edges), dtype=np.int32)
-        owner[garment.face_edges] = np.arange(len(garment.faces))[:, None]
-        topology.sewn, topology.panel = cloth.array(sewn), cloth.array(panel)
-        topology.place = wp.array(places.astype(np.float32), dtype=wp.vec2, device=self._device)
-        topology.edges = wp.array(garment.edges, dtype=wp.vec2i, device=self._device)
-        topology.face_edges = wp.array(garment.face_edges, dtype=wp.vec3i, device=self._device)
-        topology.owner = cloth.array(owner)
-        owners = np.argsort(garment.face_edges.reshape(-1), kind="stable")
-        opposite = np.full((len(garment.edges), 2), -1, dtype=np.int32)
-        third = np.roll(garment.faces, 1, axis=1).reshape(-1)[owners]
-        edge = garment.face_edges.reshape(-1)[owners]
-        second = np.concatenate([[False], edge[1:] == edge[:-1]])
-        opposite[edge, second.astype(int)] = third
-        topology.opposite = wp.array(opposite, dtype=wp.vec2i, device=self._device)
-        self.apart = torch.ones(panel.max() + 1, panel.max() + 1, dtype=torch.bool, device=cloth.device)
-        topology.apart = wp.from_torch(self.apart)
+        self._sheets, self._pairs = Sheets(), Pairs()
+        owner, opposite = _faces_of_edges(garment.faces, garment.face_edges, self._edges)
+        tables = {"edges": garment.edges, "opposite": opposite, "face_edges": garment.face_edges, "owner": owner}
+        tables |= {"sewn": sewn, "panel": panel, "face": np.full(self._edges, -1), "place": places.astype(np.float32)}
+        types = {"edges": wp.vec2i, "opposite": wp.vec2i, "face_edges": wp.vec3i, "place": wp.vec2}
+        for name, values in tables.items():
+            setattr(self._sheets, name, wp.array(values, dtype=types.get(name, wp.int32), device=device))
+        self._feel = torch.ones(panel.max() + 1, panel.max() + 1, dtype=torch.bool, device=cloth.device)
         self._tangled = torch.zeros(n, dtype=torch.bool, device=cloth.device)
-        topology.tangled = wp.from_torch(self._tangled)
-        self._panel = panel
-        self.crossed = torch.full((len(garment.edges),), -1, dtype=torch.int32, device=cloth.device)
-        self._along = wp.zeros(len(garment.edges), dtype=wp.vec3, device=self._device)
+        self._sheets.feel, self._sheets.tangled = wp.from_torch(self._feel), wp.from_torch(self._tangled)
+        self._sheets.towards = wp.zeros(self._edges, dtype=wp.vec3, device=device)
+        of_pairs = {"corners": wp.vec4i, "split": wp.int32, "share": wp.vec4, "apart": wp.vec3}
+        for name, dtype in (of_pairs | {"distance": wp.float32, "pushed": wp.bool}).items():
+            setattr(self._pairs, name, wp.zeros(PAIRS * n, dtype=dtype, device=device))
+        self._pairs.count = wp.zeros(1, dtype=wp.int32, device=device)
         self._points = torch.zeros(n, 3, device=cloth.device)
-        corners = cloth.array(garment.faces.reshape(-1))
-        self._mesh = wp.Mesh(view(self._points), corners)
-        self._curvature = cloth.zeros(n, 3, 3)
-        self._blocks = view(self._curvature, wp.mat33)
-        self.state = (self._curvature,)
+        self._mesh = wp.Mesh(view(self._points), cloth.array(garment.faces.reshape(-1)))
+        self._own = cloth.zeros(n, 3, 3)
+        self.state = (self._own,)
 
     def look(self, vertices: torch.Tensor) -> None:
-        """Find the pairs of vertices (1, n, 3)."""
+        """Find what is near, and what goes through what, at vertices (1, n, 3)."""
         self._points.copy_(vertices[0])
         self._mesh.refit()
         self._pairs.count.zero_()
         self._tangled.zero_()
-        edges = len(self._topology.edges)
-        given = [self._mesh.id, self._topology, self._topology.tangled, wp.from_torch(self.crossed), self._along]
-        wp.launch(crossings_kernel, edges, given, device=self._device)
-        for kernel, count in ((vertex_pairs_kernel, len(self._points)), (edge_pairs_kernel, len(self._topology.edges))):
-            wp.launch(kernel, count, [self._mesh.id, self._topology, self._pairs, self._reach], device=self._device)
+        wp.launch(crossings_kernel, self._edges, [self._mesh.id, self._sheets], device=self._device)
+        for kernel, count in ((vertex_pairs_kernel, len(self._points)), (edge_pairs_kernel, self._edges)):
+            given = [self._mesh.id, self._reach, self._sheets, self._pairs]
+            wp.launch(kernel, count, given, device=self._device)
         self._count = min(int(self._pairs.count.numpy()[0]), len(self._pairs.corners))
+        self._is_tangled = bool(self._tangled.any())
 
     def let_through(self) -> None:
-        """From now on panels that cross where `look` was last do not feel each other."""
-        crossing = self.crossed >= 0
-        edges, faces = self.cloth.garment.edges, self.cloth.garment.faces
-        through = crossing.nonzero()[:, 0].numpy()
-        one = self._panel[edges[through, 0]]
-        other = self._panel[faces[self.crossed[crossing].numpy(), 0]]
-        print("let through", set(zip(one, other)))
-        self.apart[one, other] = self.apart[other, one] = False
+        """From now on panels that go through each other do not feel each other."""
+        face = self._sheets.face.numpy()
+        garment, edges = self.cloth.garment, np.flatnonzero(face >= 0)
+        one, other = self._panel[garment.edges[edges, 0]], self._panel[garment.faces[face[edges], 0]]
+        self._feel[one, other] = self._feel[other, one] = False
+
+    def let_none_through(self) -> None:
+        """From now on all panels feel each other."""
+        self._feel.fill_(True)
 
     def evaluate(self, drapes: Drapes) -> None:
         self.values.zero_()
-        self._curvature.zero_()
-        given = [drapes, self._rest, self._pairs, self._energy, self._blocks]
+        self._own.zero_()
+        own = view(self._own, wp.mat33)
+        given = [drapes, self._rest, self._pairs, self._energy, own]
         wp.launch(push_kernel, self._count, given, device=self._device)
-        if self._tangled.any():
-            crossed = wp.from_torch(self.crossed)
-            given = [drapes, self._rest, self._mesh.id, self._topology, crossed, self._along, self._energy, self._blocks]
-            wp.launch(untangle_kernel, len(self._topology.edges), given, device=self._device)
+        if self._is_tangled:
+            given = [drapes, self._rest, self._mesh.id, self._sheets, self._energy, own]
+            wp.launch(untangle_kernel, self._edges, given, device=self._device)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
-        self._launch(add_curvature_kernel, self._blocks, blocks)
+        self._launch(add_blocks_kernel, view(self._own, wp.mat33), blocks)
 
     def kept_apart(self, vertices: torch.Tensor) -> torch.Tensor:
-        """Vertices (1, n, 3), on their way from where `look` was last as far as keeps pairs apart."""
+        """Vertices (1, n, 3), as far on the line from where it was looked at last as keeps cloth apart."""
         step = vertices[0] - self._points
         length = torch.linalg.vector_norm(step, dim=1, keepdim=True)
-        step *= self._farthest / length.clamp_min(self._farthest)
+        step = step * (self._farthest / length.clamp_min(self._farthest))
         allowed = torch.ones(len(step), device=step.device)
-        given = [self._pairs, view(self._points), view(step.contiguous()), wp.from_torch(allowed)]
+        given = [self._pairs, view(self._points), view(step), wp.from_torch(allowed)]
         wp.launch(allowed_kernel, self._count, given, device=self._device)
-        return (self._points + allowed[:, None] * step)[None].contiguous()
+        return (self._points + allowed[:, None] * step)[None]
 
     def is_held_back(self, vertices: torch.Tensor) -> bool:
-        """Whether some of vertices (1, n, 3) are as far from where `look` was last as they may go at most."""
-        return bool((vertices[0] - self._points).square().sum(dim=1).max() > (0.9 * self._farthest) ** 2)
+        """Whether some of vertices (1, n, 3) are as far as they may go before it is looked at again."""
+        moved = torch.linalg.vector_norm(vertices[0] - self._points, dim=1).max()
+        return bool(moved > KEPT * self._farthest)
+
+
+def _faces_of_edges(faces: np.ndarray, face_edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A face (e,) of each edge, and the third corners (e, 2) of its faces, -1 where there is one face alone."""
+    order = np.argsort(face_edges.reshape(-1), kind="stable")
+    edge = face_edges.reshape(-1)[order]
+    again = np.concatenate([[False], edge[1:] == edge[:-1]]).astype(int)
+    opposite, owner = np.full((count, 2), -1), np.empty(count, int)
+    opposite[edge, again] = np.roll(faces, 1, axis=1).reshape(-1)[order]
+    owner[edge] = order // 3
+    return owner, opposite

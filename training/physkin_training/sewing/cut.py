@@ -34,10 +34,10 @@ class Cut:
     """Triangles of all panels.
 
     places: (t, 2) where vertices are on the flat cloth, the second axis along the grain, with all panels beside each
-    other as they are laid out to be cut. drawn: (t, 2), as in the pattern. faces: (f, 3), counter-clockwise
-    seen from outside. panel: (f,) index into `names` and `labels`. hung: (t, 3), about the body, see `Panel.hung`. seams: (s, 2), pairs of vertices that are sewn
-    together. stitches: (s,), the stitch of each pair in words. threads: (c, 2), pairs of vertices that closures keep
-    together, first the one that lies over the other.
+    other as they are laid out to be cut. drawn: (t, 2), as in the pattern. faces: (f, 3), counter-clockwise seen from
+    outside. panel: (f,) index into `names` and `labels`. hung: (t, 3), about the body, see `Panel.hung`. seams: (s, 2),
+    pairs of vertices that are sewn together. stitches: (s,), the stitch of each pair in words. threads: (c, 2), pairs
+    of vertices that closures keep together, first the one that lies over the other.
     """
 
     names: tuple[str, ...]

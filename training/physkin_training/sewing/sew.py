@@ -1,8 +1,8 @@
 """Sew a cut around a body: seams close around a paper doll of it, the doll grows to the body's shape, and cloth hangs.
 
-The doll is the body shrunk towards its bones and pressed flat, with panels in front of it and behind it. Around the
-body itself, seams would get caught on shoulders and hips, or close in front of an arm. Every step minimises an
-incremental potential from rest, so that nothing swings.
+The doll is the body shrunk towards its bones and pressed flat, with panels in front of it and behind it. Every step
+minimises an incremental potential from rest, so that nothing swings, and cloth keeps off itself. Most of it is done
+with a draft in longer edges.
 
 Dimensions: `t` vertices of a cut, `n` of the sewn garment, `V` of the body. Metres, root frame, canonical pose.
 """
@@ -16,10 +16,8 @@ import numpy as np
 import torch
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial.transform import Rotation
 
 from physkin_core.avatar.avatar import Avatar
-from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import Material
 from physkin_core.model.rest_shape import flat_areas
@@ -32,9 +30,11 @@ from physkin_training.energies.energy import view
 from physkin_training.energies.motion import Dynamics
 from physkin_training.energies.seams import THREAD_GAP, Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
+from physkin_training.physics.newton_solver import Point
 from physkin_training.quiet_warp import wp
 from physkin_training.sewing.cloth_contact import ClothContact
 from physkin_training.sewing.cut import Cut
+from physkin_training.sewing.paper_doll import Arms, paper_doll
 from physkin_training.sewing.pattern import PatternError
 from physkin_training.sewing.squashed_faces import opened, squashed
 
@@ -42,11 +42,6 @@ __all__ = ["sewn"]
 
 Watch = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 
-THIN, FLAT = 0.4, 0.1
-"""What is left in the paper doll of the distance from the bones to the skin, and of the bones' distance in front of or
-behind the root."""
-HIGHEST_ARMS = np.radians(60.0)
-"""While sleeves are sewn to the body, they turn upwards as they are as stiff as cardboard. Arms follow up to this."""
 NEAR = 0.3
 """Share of the panels' distance in front of or behind the root that is left when sewing begins."""
 LIFT, LIFT_STEP = 0.12, 0.01
@@ -56,15 +51,16 @@ CLEARANCE = 0.03
 MOST_THROUGH = 0.7
 """Share of a seam that may close through the doll: up to 0.4 does where a bodice hangs low, all of it between wrong
 edges."""
-CLOSING, SETTLING, GROWING, SOFTENING, HANGING, SMOOTHING = 25, 5, 40, 30, 25, 15
+CLOSING, SETTLING, GROWING, SOFTENING, HANGING, CALMING = 25, 5, 40, 30, 25, 15
 """Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
 between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
-cloth becomes soft while arms go down, and the sewn garment hangs."""
+cloth becomes soft while arms go down, and hangs. Last the garment in its own edges comes to rest."""
 HIGHEST = 0.05
 """While seams close, the panel that stays at its height is held by its seams up to this far [m] below the highest, so
 that nothing pulls a bodice off the shoulders."""
 STEP, CARDBOARD_STEP, CALM_STEP = 0.05, 0.5, 0.02
-"""[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it."""
+"""[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it; in the
+third, the garment comes to rest."""
 CARDBOARD = 300.0
 """Times that cloth bends as stiffly until then: panels come together as they are instead of curling up, and sleeves
 stay open."""
@@ -81,6 +77,7 @@ CLOSING_OFFSET = 0.003
 little room."""
 REACH = 0.3
 LOOKS = 4
+"""Times in a step that cloth is looked for beside cloth which moves far."""
 EFFORT = {"tolerance": 1e-3, "iterations": 4, "products": 60}
 """Of a step: residual force [N], Newton steps, matrix products for each."""
 
@@ -105,19 +102,19 @@ def sewn(
     draft = draft or cut
     if loose := set(range(len(cut.names))) - set(cut.panel_of[cut.seams].flat):
         raise PatternError(f"panel {cut.names[min(loose)]!r} is not sewn to anything; every panel needs a stitch")
-    sewn_draft, vertex = _sewn_together(draft), _sewn_together(cut)
-    doll, arms = paper_doll(avatar, rig), Arms(avatar, rig)
     watch = watch or (lambda *_: None)
+    doll = paper_doll(avatar, rig)
     body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
-    hung = _about(draft, doll, avatar)
-    for closed, shape in _close(draft, sewn_draft, hung, material, body, (doll, avatar.vertices), arms):
+    vertex, hung = _sewn_together(draft), _about(draft, doll, avatar)
+    for closed, shape in _close(draft, vertex, hung, material, body, (doll, avatar.vertices), Arms(avatar, rig)):
         watch(closed, draft.faces, shape)
     _check_closed(draft, closed)
-    garment = _joined(cut, vertex, _on(draft, _at_seams(closed, sewn_draft)[sewn_draft], cut))
-    first = np.unique(vertex, return_index=True)[1]
-    cloth = _Cloth(garment, material, body, garment.vertices, contact=(np.arange(len(first)), cut.panel_of[first], cut.places[first]))
+    shape = _at_seams(closed, vertex)[vertex]
+    vertex = _sewn_together(cut)
+    garment = _made(cut, _at_seams(_laid_on(cut, draft, shape), vertex), vertex[cut.faces])
+    cloth = _Cloth(garment, material, body, garment.vertices, cut, np.unique(vertex, return_index=True)[1], vertex)
     hanging = garment.vertices
-    for _ in range(SMOOTHING):
+    for _ in range(CALMING):
         before, hanging = hanging, cloth.step(1.0, seconds=CALM_STEP)
         watch(hanging, garment.faces, avatar.vertices)
         if np.linalg.norm(hanging - before, axis=1).max() < STILL:
@@ -125,8 +122,8 @@ def sewn(
     return _made(cut, hanging, garment.faces)
 
 
-def _on(draft: Cut, shape: np.ndarray, cut: Cut) -> np.ndarray:
-    """Vertices (t, 3) of a cut on the shape that the draft of the same pattern has, the draft's vertices (t', 3)."""
+def _laid_on(cut: Cut, draft: Cut, shape: np.ndarray) -> np.ndarray:
+    """Vertices (t, 3) of a cut on the surface that a draft of the same pattern has, vertices (t', 3) `shape`."""
     places = np.empty_like(cut.hung)
     for panel in range(len(cut.names)):
         vertices = np.unique(draft.faces[draft.panel == panel])
@@ -156,51 +153,6 @@ def _sewn_together(cut: Cut) -> np.ndarray:
             "allowed; is it in two stitches?"
         )
     return vertex
-
-
-def paper_doll(avatar: Avatar, rig: Rig) -> np.ndarray:
-    """Vertices (V, 3) [m] of the body shrunk towards its bones and pressed flat. Hands, feet and head shrink to the
-    joints where they begin, because they are not in line with a sleeve."""
-    last = ~np.isin(np.arange(rig.bone_count), rig.parents)
-    ends = np.where(last[:, None], avatar.bone_heads, avatar.bone_tails)
-    heads = avatar.bone_heads[avatar.influence_bones]
-    bones = ends[avatar.influence_bones] - heads
-    along = ((avatar.vertices[:, None] - heads) * bones).sum(axis=2) / np.maximum((bones * bones).sum(axis=2), 1e-12)
-    nearest = heads + np.clip(along, 0, 1)[..., None] * bones
-    on_bones = (avatar.influence_weights[..., None] * nearest).sum(axis=1)
-    drawn_in = np.where(last[avatar.influence_bones], 0.1 * THIN, THIN) * avatar.influence_weights
-    thin = drawn_in.sum(axis=1, keepdims=True)
-    return on_bones * [FLAT, 1.0, 1.0] + thin * (avatar.vertices - on_bones)
-
-
-class Arms:
-    """The arms of an avatar, which the body and its doll can raise."""
-
-    def __init__(self, avatar: Avatar, rig: Rig) -> None:
-        self._sides = []
-        for first in (limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm):
-            arm = rig.inherited({first: 1}, 0) == 1
-            share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
-            joint = avatar.bone_heads[first]
-            self._sides.append((share, joint, 1.0 if joint[1] > 0 else -1.0))
-        self.angles = np.zeros(len(self._sides))
-
-    def follow(self, cut: Cut, hung: np.ndarray, closed: np.ndarray) -> None:
-        """Be raised as far as sleeves have turned on their way from `hung` to `closed`, both (t, 3) of a cut."""
-        on_arms = (np.array(cut.labels) == "arm")[cut.panel_of]
-        for side, (_, _, upwards) in enumerate(self._sides):
-            sleeve = on_arms & (hung[:, 1] * upwards > 0)
-            if sleeve.any():
-                before, after = (shape[sleeve, 1:] - shape[sleeve, 1:].mean(axis=0) for shape in (hung, closed))
-                crossed, along = before.T @ after @ [[0.0, -1.0], [1.0, 0.0]], (before * after).sum()
-                self.angles[side] = np.clip(upwards * np.arctan2(np.trace(crossed), along), 0.0, HIGHEST_ARMS)
-
-    def raised(self, vertices: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of their angles."""
-        for (arm, joint, upwards), angle in zip(self._sides, self.angles):
-            turn = Rotation.from_euler("x", upwards * share * angle)
-            vertices = vertices + arm * (turn.apply(vertices - joint) + joint - vertices)
-        return vertices
 
 
 def _about(cut: Cut, doll: np.ndarray, avatar: Avatar) -> np.ndarray:
@@ -259,7 +211,13 @@ def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> 
 
 
 def _close(
-    cut: Cut, vertex: np.ndarray, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray], arms: Arms
+    cut: Cut,
+    vertex: np.ndarray,
+    hung: np.ndarray,
+    material: Material,
+    body: wp.Mesh,
+    shapes: tuple[np.ndarray, np.ndarray],
+    arms: Arms,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Vertices (t, 3) of the cut and (V, 3) of the body step by step, until seams are closed about its own shape.
 
@@ -267,28 +225,27 @@ def _close(
     doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
     pairs = np.concatenate([cut.seams, cut.threads])
-    near = vertex, cut.panel_of, cut.places
-    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, contact=near, seams=pairs)
+    material = replace(material, contact_offset=CLOSING_OFFSET)
+    cloth = _Cloth(flat, material, body, hung, cut, np.arange(len(vertex)), vertex, pairs=pairs)
     cloth.bend_stiffer(CARDBOARD)
-    cloth.contact.look(cloth._here)
     cloth.contact.let_through()
     seams, (loose, tight) = cloth.seams, SEAM_STIFFNESS
     seams.stiffness.fill_(loose)
     apart = torch.as_tensor(np.linalg.norm(hung[pairs[:, 1]] - hung[pairs[:, 0]], axis=1))
-    left = torch.as_tensor(np.repeat([0.0, THREAD_GAP], [len(cut.seams), len(cut.threads)]))
+    last = torch.as_tensor(np.repeat([0.0, THREAD_GAP], [len(cut.seams), len(cut.threads)]))
     heights = hung[cut.seams, 2].mean(axis=1)
     staying = (cut.panel_of[cut.seams] == _staying(cut)).any(axis=1)
     highest = cut.seams[staying & (heights > heights[staying].max() - HIGHEST)]
     labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[pairs]]
     begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
     for count in range(1, 2 * CLOSING + SETTLING + 1):
-        seams.gap.copy_(torch.maximum(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0), left))
+        seams.gap.copy_(torch.maximum(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0), last))
         shape = cloth.meets(arms.raised(doll))
         closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
         arms.follow(cut, hung, closed)
         yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
     seams.stiffness.fill_(tight)
-    cloth.contact.apart.fill_(True)
+    cloth.contact.let_none_through()
     for count in range(1, GROWING + 1):
         shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll)))
         yield cloth.step(LIGHT), shape
@@ -314,12 +271,6 @@ def _at_seams(closed: np.ndarray, vertex: np.ndarray) -> np.ndarray:
     return np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]
 
 
-def _joined(cut: Cut, vertex: np.ndarray, closed: np.ndarray) -> Garment:
-    """The garment whose seams are single vertices, those of `_sewn_together`, from vertices (t, 3) whose seams are
-    closed."""
-    return _made(cut, _at_seams(closed, vertex), vertex[cut.faces])
-
-
 def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
     """The garment of vertices (n, 3) and faces (f, 3). Where few faces are squashed, they are pulled open."""
     panels = cut.places, cut.faces
@@ -335,15 +286,11 @@ def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
         raise PatternError(f"it cannot be sewn so, or does not fit the body{where}: {error}") from error
 
 
-class _Solver(StepSolver):
-    def step(self, here):
-        return self.kept_apart(here.vertices + super().step(here)) - here.vertices
-
-
 class _Cloth:
-    """A garment at `start` (n, 3) [m] that moves from rest step by step, in contact with a body.
+    """A garment at `start` (n, 3) [m] that moves from rest step by step, in contact with a body and with itself.
 
-    seams: (s, 2) vertices that `seams` draws together, default none.
+    of: (n,) a vertex of the cut that each vertex is, and vertex: (t,) what they become, see `_sewn_together`. pairs:
+    (s, 2) vertices that `seams` draws together, default none.
     """
 
     def __init__(
@@ -352,21 +299,23 @@ class _Cloth:
         material: Material,
         body: wp.Mesh,
         start: np.ndarray,
+        cut: Cut,
+        of: np.ndarray,
+        vertex: np.ndarray,
         *,
-        contact: tuple,
-        seams: np.ndarray = NO_SEAMS,
+        pairs: np.ndarray = NO_SEAMS,
     ) -> None:
         device = torch.device(wp.device_to_torch(body.device))
         still = Dynamics(air_drag=0.0, relaxation=0.0)
         self._potential = IncrementalPotential(garment, material, 1, device, step=STEP, dynamics=still, reach=REACH)
-        self.seams = Seams(self._potential.cloth, seams, stiffness=0.0)
-        self._potential.energies.append(self.seams)
-        self.contact = ClothContact(self._potential.cloth, *contact)
-        self._potential.energies.append(self.contact)
-        self._solver = _Solver(EnergyHessian(self._potential), torch.ones(len(start), device=device))
-        self._solver.kept_apart = self.contact.kept_apart
-        self._body, self._nowhere = body, torch.zeros(1, 3, device=device)
         self._down, self._here = _vectors(UPRIGHT_GRAVITY, device)[None], _vectors(start, device)[None]
+        cloth = self._potential.cloth
+        self.seams = Seams(cloth, pairs, stiffness=0.0)
+        self.contact = ClothContact(cloth, vertex[of], cut.panel_of[of], cut.places[of])
+        self.contact.look(self._here)
+        self._potential.energies += [self.seams, self.contact]
+        self._solver = _Solver(EnergyHessian(self._potential), self.contact)
+        self._body, self._nowhere = body, torch.zeros(1, 3, device=device)
 
     def bend_stiffer(self, times: float) -> None:
         """Let cloth bend so many times as stiffly as its material does."""
@@ -395,6 +344,17 @@ class _Cloth:
         """All of it moved up by a height [m]; vertices (n, 3)."""
         self._here = self._here + height * _vectors([0.0, 0.0, 1.0], self._here.device)
         return self._here[0].double().cpu().numpy()
+
+
+class _Solver(StepSolver):
+    """Takes no step that brings cloth through itself."""
+
+    def __init__(self, hessian: EnergyHessian, contact: ClothContact) -> None:
+        super().__init__(hessian, torch.ones(len(contact.elements), device=hessian.losses.cloth.device))
+        self._contact = contact
+
+    def step(self, here: Point) -> torch.Tensor:
+        return self._contact.kept_apart(here.vertices + super().step(here)) - here.vertices
 
 
 def _vectors(array: np.ndarray, device: torch.device) -> torch.Tensor:
