@@ -64,6 +64,19 @@ def cape(*, rings: int = 40, segments: int = 80) -> Garment:
     return Garment(points, about.faces[np.ptp(column, axis=1) < 2])
 
 
+def opened_in_front(garment: Garment, *, gap: float = 0.0) -> Garment:
+    """A garment with a seam down its front, which is undone: neckline, front edges and hem become one rim. The right
+    edge is moved aside by `gap` [m]."""
+    vertices, faces = garment.vertices, garment.faces.copy()
+    seam = np.flatnonzero((np.abs(vertices[:, 1]) < 2e-3) & (vertices[:, 0] > 0.04))
+    right = np.isin(faces, seam).any(axis=1) & (vertices[faces, 1].mean(axis=1) < 0)
+    copy = np.arange(len(vertices))
+    copy[seam] = len(vertices) + np.arange(len(seam))
+    faces[right] = copy[faces[right]]
+    moved = np.concatenate([vertices, vertices[seam] - [0.0, gap, 0.0]])
+    return Garment(moved, faces, None, garment.panel_places, garment.panel_faces)
+
+
 def sewn_tube(
     *, columns: int = 6, rings: int = 9, width: float = 0.45, height: float = 0.4, shrunk: float = 0.92
 ) -> Garment:

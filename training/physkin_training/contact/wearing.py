@@ -19,7 +19,7 @@ from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
 from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
 
-__all__ = ["Wearing", "holding_rim"]
+__all__ = ["TO_THE_HEM", "Wearing", "holding_rim"]
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""
