@@ -64,17 +64,23 @@ def cape(*, rings: int = 40, segments: int = 80) -> Garment:
     return Garment(points, about.faces[np.ptp(column, axis=1) < 2])
 
 
-def opened_in_front(garment: Garment, *, gap: float = 0.0) -> Garment:
-    """A garment with a seam down its front, which is undone: neckline, front edges and hem become one rim. The right
-    edge is moved aside by `gap` [m]."""
+def undone(garment: Garment, seam: np.ndarray, beyond: np.ndarray, away: np.ndarray) -> Garment:
+    """A garment with a seam undone. seam: (n,) bool, its vertices; beyond: (f,) bool, faces on one side of it, whose
+    edge is moved by `away` (3,) [m]."""
     vertices, faces = garment.vertices, garment.faces.copy()
-    seam = np.flatnonzero((np.abs(vertices[:, 1]) < 2e-3) & (vertices[:, 0] > 0.04))
-    right = np.isin(faces, seam).any(axis=1) & (vertices[faces, 1].mean(axis=1) < 0)
     copy = np.arange(len(vertices))
-    copy[seam] = len(vertices) + np.arange(len(seam))
+    copy[seam] = len(vertices) + np.arange(seam.sum())
+    right = np.isin(faces, np.flatnonzero(seam)).any(axis=1) & beyond
     faces[right] = copy[faces[right]]
-    moved = np.concatenate([vertices, vertices[seam] - [0.0, gap, 0.0]])
-    return Garment(moved, faces, None, garment.panel_places, garment.panel_faces)
+    panels = garment.panel_places, garment.panel_faces
+    return Garment(np.concatenate([vertices, vertices[seam] + away]), faces, None, *panels)
+
+
+def opened_in_front(garment: Garment, *, gap: float = 0.0) -> Garment:
+    """A garment with a seam down its front, which is undone: neckline, front edges and hem become one rim. The
+    right edge is moved aside by `gap` [m]."""
+    seam = (np.abs(garment.vertices[:, 1]) < 2e-3) & (garment.vertices[:, 0] > 0.04)
+    return undone(garment, seam, garment.vertices[garment.faces, 1].mean(axis=1) < 0, np.array([0.0, -gap, 0.0]))
 
 
 def sewn_tube(
