@@ -144,7 +144,7 @@ def _band(garment: Garment, avatar: Avatar, rig: Rig) -> np.ndarray:
     """(k,) vertices that hold a garment up. Raises ValueError where there is no opening."""
     loops = openings(garment.vertices, garment.faces)
     rim = holding_rim(garment.vertices, loops)
-    if len(loops) > 2 and not any(np.array_equal(rim, loop) for loop in loops):
+    if len(loops) > 2 and all(rim is not loop for loop in loops):
         shoulders = avatar.bone_heads[[limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm]]
         from_middle = (garment.vertices - shoulders.mean(axis=0)) / (np.ptp(shoulders, axis=0).max() / 2)
         before, aside, above = from_middle.T

@@ -85,10 +85,8 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     kept &= ~front
     beside &= ~np.isin(rim, vertex[front]).all(axis=1)
     snap = SNAP * np.minimum(1.0, shortest[vertex] / length[edge])
-    made = length[beside][long[label[rim[beside, 0]]]].sum() / 2
-    return Runs(
-        vertex[kept], rim[edge[kept]], at[kept], gap[kept], snap[kept], apart[kept], float(made), bool(front.any())
-    )
+    made = float(length[beside][long[label[rim[beside, 0]]]].sum() / 2)
+    return Runs(*(each[kept] for each in (vertex, rim[edge], at, gap, snap, apart)), made, bool(front.any()))
 
 
 def _along_front(
