@@ -229,6 +229,17 @@ def test_an_open_front_drawn_edge_to_edge_stays_open(gap, template):
     assert found(checked, "openings") == "3 openings, open in front", "the wrists, and neckline, front and hem in one"
 
 
+def test_a_front_that_is_open_halfway_stays_open(template):
+    """As a zip that is closed up to the chest."""
+    made = load_garment(GARMENTS / "longsleeve.obj")
+    x, y, z = made.vertices.T
+    side = made.vertices[made.faces, 1].mean(axis=1)
+    half = undone(made, (np.abs(y) < 2e-3) & (x > 0.04) & (z > 0.25), side < 0, np.array([0.0, -0.001, 0.0]))
+    checked = check_garment(mesh_of(half.vertices, half.faces), template, template)
+    assert outcomes(checked)["seams"] == "warning" and len(checked.vertices) == len(half.vertices)
+    assert found(checked, "openings") == "4 openings"
+
+
 @pytest.mark.parametrize("where, gap", [("front", 0.00008), ("behind", 0.001), ("aside", 0.001)])
 def test_a_seam_that_is_drawn_edge_to_edge_is_joined(where, gap, template):
     """In front where its edges touch, and elsewhere whatever the gap."""
