@@ -64,6 +64,25 @@ def cape(*, rings: int = 40, segments: int = 80) -> Garment:
     return Garment(points, about.faces[np.ptp(column, axis=1) < 2])
 
 
+def undone(garment: Garment, seam: np.ndarray, beyond: np.ndarray, away: np.ndarray) -> Garment:
+    """A garment with a seam undone. seam: (n,) bool, its vertices; beyond: (f,) bool, faces on one side of it, whose
+    edge is moved by `away` (3,) [m]."""
+    vertices, faces = garment.vertices, garment.faces.copy()
+    copy = np.arange(len(vertices))
+    copy[seam] = len(vertices) + np.arange(seam.sum())
+    right = np.isin(faces, np.flatnonzero(seam)).any(axis=1) & beyond
+    faces[right] = copy[faces[right]]
+    panels = garment.panel_places, garment.panel_faces
+    return Garment(np.concatenate([vertices, vertices[seam] + away]), faces, None, *panels)
+
+
+def opened_in_front(garment: Garment, *, gap: float = 0.0) -> Garment:
+    """A garment with a seam down its front, which is undone: neckline, front edges and hem become one rim. The
+    right edge is moved aside by `gap` [m]."""
+    seam = (np.abs(garment.vertices[:, 1]) < 2e-3) & (garment.vertices[:, 0] > 0.04)
+    return undone(garment, seam, garment.vertices[garment.faces, 1].mean(axis=1) < 0, np.array([0.0, -gap, 0.0]))
+
+
 def sewn_tube(
     *, columns: int = 6, rings: int = 9, width: float = 0.45, height: float = 0.4, shrunk: float = 0.92
 ) -> Garment:

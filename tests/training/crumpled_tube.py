@@ -25,11 +25,10 @@ LINEAR_BEYOND = 0.006
 
 class CrumpledTube:
     """Two samples of a tube about the origin, 12 cm high, of other rest shapes and bending, over a floor at height
-    `floor`; three of its vertices are tied to corners of the floor. It bends from the shape that it was made in.
-    `potential`: of a step that `begin` told of.
+    `floor`; three of its vertices are tied to corners of the floor, and weak threads draw six together. It bends from
+    the shape that it was made in. `potential`: of a step that `begin` told of.
 
-    only: of the energies, default all; `threads` draw three pairs of vertices together. worn: whether deep contact
-    counts. scale: of the rest shape.
+    only: of the energies, default all. worn: whether deep contact counts. scale: of the rest shape.
     """
 
     def __init__(
@@ -37,10 +36,8 @@ class CrumpledTube:
     ) -> None:
         wp.config.quiet = True
         wp.init()
-        self.garment = tube(rings=4, segments=7, radius=0.1, height=0.12)
-        if only == "threads":
-            threads = np.array([[1, 7], [4, 10], [19, 25]])
-            self.garment = Garment(self.garment.vertices, self.garment.faces, threads=threads)
+        made = tube(rings=4, segments=7, radius=0.1, height=0.12)
+        self.garment = Garment(made.vertices, made.faces, threads=np.array([[1, 7], [4, 10], [19, 25]]))
         n = len(self.garment.vertices)
         self.offset, self.down = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[0.0, 0, -1]] * SAMPLES)
         points = np.concatenate([FLOOR + [0, 0, floor] + offset for offset in self.offset.numpy()])
@@ -62,6 +59,8 @@ class CrumpledTube:
             **options,
         )
         self.potential.bend.stiffer.copy_(torch.tensor([1.0, 3.0]))
+        (threads,) = [each for each in self.potential.energies if each.name == "threads"]
+        threads.stiffness.fill_(3.0)
         if only:
             self.potential.energies = [each for each in self.potential.energies if each.name == only]
         self.rest = torch.tensor(np.stack([self.garment.vertices] * SAMPLES), dtype=torch.float32)

@@ -12,9 +12,9 @@ from physkin_training.physics.energy_hessian import EnergyHessian
 
 
 def uncrumpled(drag: float) -> CrumpledTube:
-    """At rest, in its own rest shape, with nothing near that it could touch, and not tied."""
+    """At rest, in its own rest shape, with nothing near that it could touch, and not tied by a band or threads."""
     tube = CrumpledTube(floor=-9.0, rows=[0, 0], dynamics=Dynamics(air_drag=drag))
-    tube.potential.energies.remove(tube.potential.band)
+    tube.potential.energies = [each for each in tube.potential.energies if each.name not in ("band", "threads")]
     tube.hessian = EnergyHessian(tube.potential)
     return tube
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from random_models import cape, tube
+from random_models import cape, opened_in_front, tube, undone
 from training.small_runs import mesh_of
 
 from physkin_core import load_body_model, load_garment
@@ -217,6 +217,45 @@ def test_panels_that_nearly_touch_are_joined(gap, fine, shirt, template):
         assert len(checked.faces) == len(faces)
         away = np.linalg.norm(checked.vertices[:, None] - vertices[::97], axis=-1).min(axis=0)
         assert away.max() < gap
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.0025])
+def test_an_open_front_drawn_edge_to_edge_stays_open(gap, template):
+    """Its edges are no seam; the user learns how to make them one."""
+    cardigan = opened_in_front(load_garment(GARMENTS / "longsleeve.obj"), gap=gap)
+    checked = check_garment(mesh_of(cardigan.vertices, cardigan.faces), template, template)
+    assert outcomes(checked)["seams"] == "warning" and len(checked.vertices) == len(cardigan.vertices)
+    assert found(checked, "seams").endswith("along each other; an open front, kept; join its vertices to close it")
+    assert found(checked, "openings") == "3 openings, open in front", "the wrists, and neckline, front and hem in one"
+
+
+def test_a_front_that_is_open_halfway_stays_open(template):
+    """As a zip that is closed up to the chest."""
+    made = load_garment(GARMENTS / "longsleeve.obj")
+    x, y, z = made.vertices.T
+    side = made.vertices[made.faces, 1].mean(axis=1)
+    half = undone(made, (np.abs(y) < 2e-3) & (x > 0.04) & (z > 0.25), side < 0, np.array([0.0, -0.001, 0.0]))
+    checked = check_garment(mesh_of(half.vertices, half.faces), template, template)
+    assert outcomes(checked)["seams"] == "warning" and len(checked.vertices) == len(half.vertices)
+    assert found(checked, "openings") == "4 openings"
+
+
+@pytest.mark.parametrize("where, gap", [("front", 0.00008), ("behind", 0.001), ("aside", 0.001)])
+def test_a_seam_that_is_drawn_edge_to_edge_is_joined(where, gap, template):
+    """In front where its edges touch, and elsewhere whatever the gap."""
+    made = load_garment(GARMENTS / "longsleeve.obj")
+    (x, y, z), (before, side, _) = made.vertices.T, made.vertices[made.faces].mean(axis=1).T
+    places = np.unique(np.stack([made.faces, made.panel_faces], axis=-1).reshape(-1, 2), axis=0)
+    middle, sewn = np.abs(y) < 2e-3, np.bincount(places[:, 0]) > 1
+    seam, beyond, away = {
+        "front": (middle & (x > 0.04), side < 0, [0, -1, 0]),
+        "behind": (middle & (x < -0.04), side < 0, [0, -1, 0]),
+        "aside": (sewn & (0.15 < y) & (y < 0.21) & (x < 0.022) & (z < 0.25), before < 0.015, [-1, 0, 0]),
+    }[where]
+    cut = undone(made, seam, beyond, gap * np.array(away))
+    checked = check_garment(mesh_of(cut.vertices, cut.faces), template, template)
+    assert outcomes(checked)["seams"] == "repaired" and "of boundaries joined" in found(checked, "seams")
+    assert found(checked, "openings") == "4 openings" and len(checked.vertices) == len(made.vertices)
 
 
 def test_what_a_pattern_leaves_open_stays_open(shirt, template):

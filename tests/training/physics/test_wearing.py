@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from random_models import cape, tube
+import torch
+from random_models import cape, opened_in_front, tube
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, load_garment
+from physkin_core.model.garment_model import Material
 from physkin_training.contact.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
+from physkin_training.energies.band import BAND_SLACK
+from physkin_training.evaluate.plain_model import plain_model
+from physkin_training.evaluate.simulate import DrapeSimulation
 
 GARMENTS = Path(__file__).parents[3] / "training" / "garments"
 BODY = load_body_model()
@@ -66,6 +72,43 @@ def test_a_cape_is_held_by_its_collar():
     assert band[:, 2].max() == top and top - 0.13 < band[:, 2].min() < top - 0.05
     assert band[:, 1].min() < -0.1 and band[:, 1].max() > 0.1 and band[:, 0].min() < -0.1
     assert not worn.bare.any() and (worn.far_face < 0).all()
+
+
+@pytest.fixture(scope="module")
+def cardigan() -> tuple[Garment, Wearing]:
+    garment = opened_in_front(load_garment(GARMENTS / "longsleeve.obj"))
+    return garment, Wearing.of(garment, BODY)
+
+
+def test_an_open_front_hangs_from_the_shoulders(cardigan):
+    """From the back of the neck, and on both sides almost out to the joints; the front edges are free."""
+    garment, worn = cardigan
+    band = garment.vertices[worn.band]
+    joints = BODY.bones(BODY.garment_body)[0][[BONES.index(f"upperarm01.{side}") for side in "LR"]]
+    assert band[:, 0].min() < -0.07 and band[:, 0].max() < joints[:, 0].mean() + 0.05, "none of it before the neck"
+    assert band[:, 1].max() > 0.6 * joints[0, 1] and band[:, 1].max() < 0.8 * joints[0, 1]
+    assert band[:, 1].min() < 0.6 * joints[1, 1] and band[:, 2].min() > joints[:, 2].mean()
+    edge = (np.abs(garment.vertices[:, 1]) < 2e-3) & (garment.vertices[:, 0] > 0.04)
+    assert edge.sum() > 80 and not edge[worn.band].any()
+
+
+@pytest.mark.slow
+def test_an_open_front_stays_on_the_shoulders_while_arms_are_raised(cardigan):
+    """Sleeves draw cloth off the neck, as far as the band's slack; without a band farther, and on with every step."""
+    garment, worn = cardigan
+    avatar, names = avatar_from_body(BODY, BODY.garment_body), [dof.name for dof in BODY.rig.dofs]
+    raised, moved = BODY.rig.rest.copy(), []
+    for joint, angle in (("upperarm01", 1.9), ("clavicle", 0.3)):
+        raised[[names.index(f"{joint}.{side}_x") for side in "LR"]] += angle
+    nothing = replace(worn, band=worn.band[:0], band_place=worn.band_place[:0], band_distance=worn.band_distance[:0])
+    for each in (worn, nothing):
+        given = garment, avatar, plain_model(garment), Material(), 1, torch.device("cpu")
+        simulation = DrapeSimulation(*given, wearing=each)
+        result = simulation.run(raised[None], np.array([[0.0, 0.0, -1.0]]), stages=3, iterations=40)
+        body = simulation.body.vertices[0].numpy()
+        away = np.linalg.norm(result.vertices[0].numpy()[worn.band] - body[worn.band_place], axis=1)
+        moved.append(float((away - worn.band_distance).mean()))
+    assert moved[0] < BAND_SLACK < moved[1], moved
 
 
 def test_a_cape_hangs_around_trunk_and_legs():

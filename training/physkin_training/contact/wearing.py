@@ -13,12 +13,13 @@ from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
 from physkin_core.avatar.body_model import BodyModel
+from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
 from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
 
-__all__ = ["Wearing", "holding_rim"]
+__all__ = ["TO_THE_HEM", "Wearing", "holding_rim"]
 
 WORN_WITHIN = 0.15
 """A vertex is worn on body parts that come this close [m] at the canonical pose."""
@@ -41,7 +42,13 @@ BAND_WIDTH = 0.03
 """Vertices this close [m] to the rim that holds the garment make up the band."""
 TO_THE_HEM, COLLAR = 0.4, 0.1
 """A rim that is higher [m] than this is neckline, front edges and hem in one, as that of a cape or a cardigan is: only
-this much of it [m], from its highest point down, holds the garment."""
+this much of it [m], from its highest point down, holds the garment. Where arms leave such a garment through openings of
+their own, cloth on the shoulders holds it instead."""
+BESIDE_NECK, BEFORE, ABOVE = 0.75, 0.2, (0.2, 0.65)
+"""Cloth on the shoulders: how far aside it is from the middle of the shoulder joints and before it at most, and how far
+above, in halves of their distance."""
+ON_SKIN = 0.03
+"""[m] It is no farther from the body."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +62,8 @@ class Wearing:
     that leaves through an armhole, an opening on the trunk without a sleeve: only cloth from which all other parts are
     farther is worn on it. own_face: (n,) int32, of the `faces` of worn parts the one whose centre is closest. far_face:
     (n,) int32, of cloth in a sleeve or a trouser leg the face across the limb from that, elsewhere -1. band: (k,) int32
-    vertices of the neckband or waistband; band_place: (k,) int32 the body vertex closest to each, band_distance: (k,)
-    float32 [m] away.
+    vertices of the neckband or waistband, or on the shoulders; band_place: (k,) int32 the body vertex closest to each,
+    band_distance: (k,) float32 [m] away.
     """
 
     faces: np.ndarray
@@ -102,9 +109,7 @@ class Wearing:
         free = np.flatnonzero(~worn.any(axis=1))
         worn[free] = _hung_around(garment, free, distance_worn[free], avatar, vertex_bone, limbs)
         near = np.flatnonzero(worn.any(axis=0)[face_bone])
-        rim = garment.vertices[holding_rim(garment.vertices, openings(garment.vertices, garment.faces))]
-        distance, _ = cKDTree(rim).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
-        band = np.flatnonzero(np.isfinite(distance))
+        band = _band(garment, avatar, rig)
         gap, place = cKDTree(body).query(garment.vertices[band])
         own = near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]]
         sleeved = (np.isin(limbs, [limbs[bone] for bone, _ in left_by]) & ~bare)[face_bone[own]]
@@ -133,6 +138,22 @@ class Wearing:
             own_face=kept[self.own_face].astype(np.int32),
             far_face=np.where(self.far_face < 0, -1, kept[self.far_face]).astype(np.int32),
         )
+
+
+def _band(garment: Garment, avatar: Avatar, rig: Rig) -> np.ndarray:
+    """(k,) vertices that hold a garment up. Raises ValueError where there is no opening."""
+    loops = openings(garment.vertices, garment.faces)
+    rim = holding_rim(garment.vertices, loops)
+    if len(loops) > 2 and all(rim is not loop for loop in loops):
+        shoulders = avatar.bone_heads[[limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm]]
+        from_middle = (garment.vertices - shoulders.mean(axis=0)) / (np.ptp(shoulders, axis=0).max() / 2)
+        before, aside, above = from_middle.T
+        near = (before < BEFORE) & (np.abs(aside) < BESIDE_NECK) & (ABOVE[0] < above) & (above < ABOVE[1])
+        near &= cKDTree(avatar.vertices).query(garment.vertices)[0] < ON_SKIN
+        if near.any():
+            return np.flatnonzero(near)
+    distance, _ = cKDTree(garment.vertices[rim]).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
+    return np.flatnonzero(np.isfinite(distance))
 
 
 def _hung_around(

@@ -22,6 +22,8 @@ SEAM = 0.003
 """[m] Boundaries this near are joined, however pieces lie."""
 TOUCHING = 1e-4
 """[m] What is nearer than this is joined whatever its length."""
+FRONT_ASIDE = 0.05
+"""[m] from the middle. One nearer that opens forward from the uppermost rim is an open front, and stays open."""
 SNAP = 0.3
 """A vertex is joined to the end of an edge within this share of the edges here, else to a new vertex on the edge."""
 
@@ -30,7 +32,7 @@ SNAP = 0.3
 class Runs:
     """Boundary vertices (p,) near boundary edges (p, 2), the gaps (p,) [m] between them, and where on the edges they
     are, at (p,) from 0 to 1. snap: (p,) as `SNAP`, likewise. apart: (p,) whether they are of separate pieces. length:
-    [m] of seam that they make."""
+    [m] of seam that they make. open_front: whether others are left out, along an open front."""
 
     vertex: np.ndarray
     edge: np.ndarray
@@ -39,6 +41,7 @@ class Runs:
     snap: np.ndarray
     apart: np.ndarray
     length: float
+    open_front: bool
 
 
 def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
@@ -77,9 +80,26 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     label = connected_component_labels(rim[beside], node_count=len(vertices))
     long = np.bincount(label[rim[beside, 0]], length[beside], len(vertices)) >= SHORTEST
     kept &= long[label[vertex]] | (gap <= TOUCHING)
+    front = np.zeros(len(gap), bool)
+    front[kept] = _along_front(vertices, rim, label, *(each[kept] for each in (vertex, gap, apart)))
+    kept &= ~front
+    beside &= ~np.isin(rim, vertex[front]).all(axis=1)
     snap = SNAP * np.minimum(1.0, shortest[vertex] / length[edge])
-    made = length[beside][long[label[rim[beside, 0]]]].sum() / 2
-    return Runs(vertex[kept], rim[edge[kept]], at[kept], gap[kept], snap[kept], apart[kept], float(made))
+    made = float(length[beside][long[label[rim[beside, 0]]]].sum() / 2)
+    return Runs(*(each[kept] for each in (vertex, rim[edge], at, gap, snap, apart)), made, bool(front.any()))
+
+
+def _along_front(
+    vertices: np.ndarray, rim: np.ndarray, chain: np.ndarray, vertex: np.ndarray, gap: np.ndarray, apart: np.ndarray
+) -> np.ndarray:
+    """Which pairs (p,) are of chains along an open front. Those of a seam lie elsewhere, nearer than `TOUCHING`, or
+    between pieces that it has to join. rim: (b, 2); chain: (n,) number of each vertex's."""
+    loop, chain = connected_component_labels(rim, node_count=len(vertices)), chain[vertex]
+    at_front = loop[vertex] == (loop[rim[vertices[rim[:, 0], 2].argmax(), 0]] if len(rim) else -1)
+    forward, aside = vertices[vertex, 0] - vertices[:, 0].mean(), vertices[vertex, 1]
+    count = np.maximum(np.bincount(chain), 1)
+    apart, gap, forward, aside = ((np.bincount(chain, each) / count)[chain] for each in (apart, gap, forward, aside))
+    return at_front & (apart == 0) & (gap > TOUCHING) & (forward > 0) & (np.abs(aside) < FRONT_ASIDE)
 
 
 def sewn_along(vertices: np.ndarray, faces: np.ndarray, runs: Runs) -> tuple[np.ndarray, np.ndarray]:

@@ -96,10 +96,8 @@ def check_garment(
     else:
         _run(checks, [partial(wear_checks.check_placement, surface=canonical)])
     source = checks.vertices, checks.faces
-    sewn_on = np.zeros((0, 2, 3))
-    if not checks.refused:
-        on_edges = edges_along(*source, checks.lines)[1]
-        checks.lines, sewn_on = checks.lines[on_edges], checks.lines[~on_edges]
+    on_edges = np.ones(len(checks.lines), bool) if checks.refused else edges_along(*source, checks.lines)[1]
+    checks.lines, threads = checks.lines[on_edges], checks.lines[~on_edges]
     named = None if chosen or sewn or checks.refused else objects_at(mesh, checks.vertices[checks.faces].mean(axis=1))
     _run(
         checks,
@@ -137,7 +135,7 @@ def check_garment(
     if not checks.refused:
         look = check_rest_shape(checks, look.on(source, lying, checks.faces), lying, made)
         creases, _ = edges_along(lying, checks.faces, checks.lines)
-        lines = np.concatenate([creases, check_threads(checks, lying, sewn_on)])
+        lines = np.concatenate([creases, check_threads(checks, lying, threads)])
     vertices = _as_written(checks.vertices)
     return CheckedGarment(vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, lines)
 

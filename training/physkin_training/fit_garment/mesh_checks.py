@@ -13,6 +13,7 @@ import trimesh
 from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import mesh_edges, openings
 from physkin_training.contact.surface_queries import BodySurface, layers_near, piercing_edges
+from physkin_training.contact.wearing import TO_THE_HEM
 from physkin_training.fit_garment import mesh_repair
 from physkin_training.fit_garment.boundary_seams import SEAM, find_runs, sewn_along
 from physkin_training.fit_garment.verdicts import Checks
@@ -114,10 +115,13 @@ def check_seams(checks: Checks) -> None:
         place = ", ".join(f"{value:.2f}" for value in checks.vertices[far.vertex[far.apart][0]])
         found = f"separate pieces run along each other, {1000 * far.gap[far.apart].min():.1f} mm apart, at ({place}) m"
         return checks.say("seams", "refused", f"{found}: join their vertices", allowed)
-    if len(runs.gap) == 0:
-        return checks.say("seams", "ok", "no boundaries run along each other", allowed)
-    found = f"{100 * runs.length:.0f} cm of boundaries joined that were up to {1000 * runs.gap.max():.2f} mm apart"
-    return checks.say("seams", "repaired", found, allowed)
+    found, outcome = "no boundaries run along each other", "ok"
+    if len(runs.gap):
+        found = f"{100 * runs.length:.0f} cm of boundaries joined that were up to {1000 * runs.gap.max():.2f} mm apart"
+        outcome = "repaired"
+    if runs.open_front:
+        found, outcome = f"{found}; an open front, kept; join its vertices to close it", "warning"
+    return checks.say("seams", outcome, found, allowed)
 
 
 def check_pieces(checks: Checks, surface: BodySurface, named: Callable[[np.ndarray], str] | None) -> None:
@@ -169,7 +173,11 @@ def check_openings(checks: Checks) -> None:
         if (flat := _flat_pieces(checks.mesh)) > 1:
             found = f"{flat} flat pieces that are not sewn together (give a sewing pattern as GarmentCode's JSON)"
         return checks.say("openings", "refused", f"{found}: no opening to get into it", allowed)
-    found = f"{len(into)} openings"
+    found, rim = f"{len(into)} openings", max(into, key=lambda loop: checks.vertices[loop, 2].max())
+    x, _, height = (checks.vertices[rim] - checks.vertices.mean(axis=0)).T
+    if np.ptp(height) > TO_THE_HEM:
+        edges = np.abs(height - (height.min() + height.max()) / 2) < np.ptp(height) / 4
+        found += f", open {'in front' if x[edges].mean() > 0 else 'behind'}"
     if not holes:
         return checks.say("openings", "ok", found, allowed)
     missing = sum(_area_inside(checks.mesh, hole) for hole in holes)

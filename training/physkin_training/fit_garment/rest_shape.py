@@ -149,9 +149,7 @@ def check_threads(checks: Checks, lying: np.ndarray, lines: np.ndarray) -> np.nd
     number = [len(lying), 1]
     kept &= np.isin(np.arange(len(lines)), first[~np.isin(pairs @ number, mesh_edges(checks.faces)[0] @ number)])
     if len(lines):
-        allowed = (
-            f"line elements between vertices that no edge joins, {100 * LONGEST_THREAD:g} cm apart or less, once each"
-        )
+        allowed = f"line elements between vertices that no edge joins, up to {100 * LONGEST_THREAD:g} cm, each once"
         found = f"{kept.sum()} threads" + ("" if kept.all() else f", {(~kept).sum()} left out")
         checks.say("threads", "ok" if kept.all() else "warning", found, allowed)
     return threads[kept]

@@ -153,15 +153,14 @@ def triangulated(panel: Panel, outline: np.ndarray, edge_length: float) -> tuple
 
 def _checked_held(panel: Panel, outline: np.ndarray) -> np.ndarray:
     """The points (h, 2) of closures of a panel. Raises PatternError."""
-    away = np.where(_inside(panel.held, outline), cKDTree(_along(outline, 50)).query(panel.held)[0], -1.0)
-    others = np.linalg.norm(panel.held[:, None] - panel.held, axis=2) + np.diag(np.full(len(panel.held), np.inf))
-    for point, (x, y) in enumerate(panel.held):
-        nearest = others[point].min()
-        if min(away[point], nearest) < HELD_APART:
-            where = "is outside it" if away[point] < 0 else f"is {1000 * away[point]:.1f} mm from its outline"
-            where = where if away[point] < HELD_APART else f"is {1000 * nearest:.1f} mm from another one"
+    rim = _along(outline, 50)
+    for point, within in zip(panel.held, _inside(panel.held, outline), strict=True):
+        away, near = cKDTree(np.concatenate([rim, panel.held])).query(point, k=2)  # the first is itself
+        if not within or away[1] < HELD_APART:
+            other = "its outline" if near[1] < len(rim) else "another one"
             raise PatternError(
-                f"panel {panel.name!r}: the closure at ({x:.3f}, {y:.3f}) m {where}; allowed are points inside, "
+                f"panel {panel.name!r}: the closure at ({point[0]:.3f}, {point[1]:.3f}) m is "
+                f"{f'{1000 * away[1]:.1f} mm from {other}' if within else 'outside it'}; allowed are points inside, "
                 f"{1000 * HELD_APART:g} mm from its outline and from each other"
             )
     return panel.held
