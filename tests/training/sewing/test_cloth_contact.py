@@ -18,14 +18,14 @@ STEP = 0.02
 SIDE = 9
 
 
-def sheets(seed: int = 0) -> tuple[Garment, np.ndarray]:
+def sheets(seed: int = 0, uneven: float = 0.001) -> tuple[Garment, np.ndarray]:
     """Two square sheets of 16 cm, one 12 mm above the other and turned a little, and the panel of each vertex."""
     x, y = (axis.ravel() for axis in np.meshgrid(STEP * np.arange(SIDE), STEP * np.arange(SIDE)))
     corner = (SIDE * np.arange(SIDE - 1)[:, None] + np.arange(SIDE - 1)).reshape(-1)
     faces = np.concatenate([corner[:, None] + [0, 1, SIDE + 1], corner[:, None] + [0, SIDE + 1, SIDE]])
     low, (c, s) = np.column_stack([x, y, 0 * x]), (np.cos(0.1), np.sin(0.1))
     high = low @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) + [0.003, 0.004, 0.012]
-    vertices = np.concatenate([low, high]) + np.random.default_rng(seed).normal(0, 0.001, (2 * len(low), 3))
+    vertices = np.concatenate([low, high]) + np.random.default_rng(seed).normal(0, uneven, (2 * len(low), 3))
     return Garment(vertices, np.concatenate([faces, faces + len(low)])), np.repeat([0, 1], len(low))
 
 
@@ -74,7 +74,7 @@ def test_without_planes_it_would_go_through():
 
 def test_gradient_and_bound():
     """Of the energy where sheets are 2 mm apart; the blocks on the diagonal bound how it bends."""
-    garment, panel = sheets()
+    garment, panel = sheets(uneven=0.0002)
     near = garment.vertices - np.outer(panel, [0, 0, 0.010])
     contact, x = contact_of(garment, panel), torch.tensor(near, dtype=torch.float32)[None]
     contact.look(x)

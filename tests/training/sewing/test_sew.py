@@ -51,7 +51,8 @@ def test_a_skirt_of_two_panels(mesh, template):
         0.5, abs=0.05
     )
     assert not piercing_edges(garment.vertices, garment.faces, garment.edges).any()
-    assert np.abs(seen[-1] - seen[-6]).max() < 0.005, "it has come to rest"
+    hung = [vertices for vertices in seen if len(vertices) == len(mesh.places)]
+    assert np.abs(hung[-1] - hung[-6]).max() < 0.005, "it has come to rest"
     np.testing.assert_array_equal(seen[-1], garment.vertices)
 
 
