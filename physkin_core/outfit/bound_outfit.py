@@ -153,7 +153,8 @@ def _orders(
             pair = (outer, inner) if (inner, outer) in tucks else (inner, outer)
             rest = tuple(layers[k].rest[layers[k].visible, :3] for k in pair)
             poses = [tuple(drawn[k][layers[k].visible] for k in pair) for drawn in cloth]
-            orders.append(bind_layer_order(*pair, rest, tuple(layers[k].faces for k in pair), poses))
+            faces, turned = zip(*((layers[k].faces, layers[k].turned[layers[k].visible]) for k in pair))
+            orders.append(bind_layer_order(*pair, rest, faces, poses, turned=turned))
     return tuple(order for order in orders if order is not None)
 
 

@@ -16,6 +16,7 @@ from physkin_core.model.surface_paths import HEM
 from physkin_core.native_module import native
 from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
+from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.runtime.binding import bind_garment, draping
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
@@ -77,6 +78,7 @@ def _worn(garment: WornGarment, avatar: Avatar, fit: float, beneath: Sequence[La
         at_rest=look_at_rest(rest[:, :3], bound.faces, avatar),
         tucked_depth=np.zeros(count),
         hidden=np.zeros(count, dtype=bool),
+        turned=turned_cloth(rest, bound.faces, avatar),
         visible=np.arange(count, dtype=np.int32),
         bound_visible=bound,
     )

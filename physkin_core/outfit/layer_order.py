@@ -8,6 +8,9 @@ they are along the cloth, say how far the vertex is on the right side; that chan
 that is not far enough is pushed along its own normal, and the vertices around it less and less, so that no hem flares
 and no spike stands out. Along the steady layer it may slide.
 
+Cloth that is turned inside out, as a lapel is, has the cloth that it lies on for its place in the order: nothing is
+kept off it, and it goes where that is pushed.
+
 native/src/outfit/layer_order.cpp does that on every frame; here it is found out once where two layers may touch.
 
 Dimensions: `n` vertices of the yielding layer, `r` of the steady one, `s` contacts, `u` vertices that may be moved.
@@ -49,9 +52,9 @@ class LayerOrder:
     contact: (s,) vertices of the yielding layer. seed_start: (s + 1,) into seed, the steady vertices that a contact
     may meet, first the one at rest. beside: (s, 3) indices of contacts around each. ring_start: (r + 1,) into ring,
     the neighbours of each steady vertex.
-    push_start: (s + 1,) into push_to (indices into `moved`) and push_share (float32, 1 for the contact itself): what
-    moves along with a contact. moved: (u,) yielding vertices, in order of index, all contacts among them. edge: [m]
-    mean edge length of the steady layer.
+    push_start: (s + 1,) into push_to (indices into `moved`) and push_share (float32, 1 for the contact itself; below 0
+    for turned cloth, which goes against its normal): what moves along with a contact. moved: (u,) yielding vertices,
+    in order of index, all contacts among them. edge: [m] mean edge length of the steady layer.
     """
 
     steady: int
@@ -86,31 +89,39 @@ def bind_layer_order(
     rest: Sequence[np.ndarray],
     faces: Sequence[np.ndarray],
     poses: Sequence[Sequence[np.ndarray]],
+    *,
+    turned: Sequence[np.ndarray] | None = None,
 ) -> LayerOrder | None:
     """Find where two layers may touch; None where they never do.
 
     steady, yielding: which layers. rest: their vertices (r, 3) and (n, 3) [m] at rest, of those that are computed;
     faces: (f, 3) of these. poses: (r, 6) and (n, 6) vertices and unit normals in the poses to look at, the first at
-    rest.
+    rest. turned: (r,) and (n,) bool, vertices of cloth that is turned inside out; None for none.
     """
     from scipy.spatial import cKDTree
 
     touches, matches = np.zeros(len(rest[1]), dtype=bool), []
     side = _side(steady, yielding)
+    still, loose = turned or [np.zeros(len(vertices), dtype=bool) for vertices in rest]
+    met = np.flatnonzero(~still)
     for stays, moves in poses:
-        match = cKDTree(with_normals(stays[:, :3], stays[:, 3:])).query(with_normals(moves[:, :3], moves[:, 3:]))[1]
+        tree = cKDTree(with_normals(stays[met, :3], stays[met, 3:]))
+        match = met[tree.query(with_normals(moves[:, :3], moves[:, 3:]))[1]]
         off, aside = _off_plane(moves[:, :3].astype(np.float64), stays[match].astype(np.float64))
         touches |= (side * off < TOUCHING) & (side * off > -DEEPEST) & (aside < BESIDE**2)
         matches.append(match)
+    touches &= ~loose
     if not touches.any():
         return None
     graph, _ = _edge_graph(rest[1], faces[1])
     near = _paths(graph, np.flatnonzero(touches), DILATED)
-    contact = np.flatnonzero(touches | np.isfinite(near).any(axis=0))
+    contact = np.flatnonzero((touches | np.isfinite(near).any(axis=0)) & ~loose)
     distance = _paths(graph, contact, RADIUS)
+    outside, inside_out = np.flatnonzero(~loose), np.flatnonzero(loose)
+    distance[:, inside_out] = distance[:, outside[cKDTree(rest[1][outside]).query(rest[1][inside_out])[1]]]
     owner, to = np.nonzero(distance < RADIUS)
     moved, place = np.unique(to, return_inverse=True)
-    rings, lengths = _edge_graph(rest[0], faces[0])
+    rings, lengths = _edge_graph(rest[0], faces[0][~still[faces[0]].any(axis=1)])
     edge = float(lengths.mean())
     seeds = _apart(rest[0], np.stack(matches, axis=1)[contact], SEEDS_APART * edge)
     return LayerOrder(
@@ -124,7 +135,7 @@ def bind_layer_order(
         ring=rings.indices.astype(np.int32),
         push_start=np.searchsorted(owner, np.arange(len(contact) + 1)).astype(np.int32),
         push_to=place.reshape(-1).astype(np.int32),
-        push_share=((1 - (distance[owner, to] / RADIUS) ** 2) ** 2).astype(np.float32),
+        push_share=(np.where(loose, -1, 1)[to] * (1 - (distance[owner, to] / RADIUS) ** 2) ** 2).astype(np.float32),
         moved=moved.astype(np.int32),
         edge=edge,
     )

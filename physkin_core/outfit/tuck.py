@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from physkin_core.model.garment import vertex_normals
-from physkin_core.model.surface_paths import openings, path_lengths
+from physkin_core.model.surface_paths import HEM, openings, path_lengths
 from physkin_core.quality import closest_points
 
 __all__ = ["DEEP", "SLIDES", "tucked_depths"]
@@ -27,13 +27,13 @@ FARTHEST = 0.2
 
 def tucked_depths(rest: tuple[np.ndarray, np.ndarray], faces: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
     """How far below a waistband (n,) [m] each vertex of a layer is to be worn, 0 above; None where it does not go over
-    the waistband.
+    the waistband, or where there is none as the garment is open down to its hem.
 
     rest: vertices (n, 3) of the layer and (r, 3) [m] of the one over it, at rest. faces: (f, 3) of these.
     """
     waistband = openings(rest[1], faces[1])[:1]
-    if not waistband:
-        return None
+    if not waistband or rest[1][waistband[0], 2].min() < rest[1][:, 2].min() + HEM:
+        return None  # that of an open front runs down to the hem: it takes no hem
     cloth, over = (np.ascontiguousarray(x, dtype=np.float64) for x in rest)
     distance, face, share = closest_points(cloth, over, faces[1])
     corners = faces[1][face]

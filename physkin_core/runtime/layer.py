@@ -53,6 +53,7 @@ class Layer:
             waistband, where nobody sees it.)
         tucked_depth: (n,) [m] how far each vertex is below the waistband that it is tucked into; 0 above it.
         hidden: (n,) bool, vertices that are covered in all everyday poses.
+        turned: (n,) bool, vertices of cloth that is turned inside out: lapels, and the fall of a collar.
         visible: (v,) int32, the vertices that clouds have.
         bound_visible: these vertices, bound.
         moved: whether vertices are moved after skinning, to keep layers in order or a hem tucked in.
@@ -72,6 +73,7 @@ class Layer:
     at_rest: RestLook
     tucked_depth: np.ndarray
     hidden: np.ndarray
+    turned: np.ndarray
     visible: np.ndarray
     bound_visible: BoundGarment
     moved: bool = False
@@ -111,10 +113,12 @@ class Layer:
 
     @cached_property
     def hem_distance(self) -> np.ndarray:
-        """(n,) [m] along the cloth at rest from each vertex to its closest opening. Tucked hems do not count."""
+        """(n,) [m] along the cloth at rest from each vertex to its closest opening, or to where it is
+        turned inside out: that is its edge as it is worn. Tucked hems do not count."""
         vertices, faces = self.bound.vertices, self.bound.faces
         hem = np.concatenate([np.empty(0, dtype=int), *openings(vertices, faces)])
-        return path_lengths(vertices, faces, hem[self.tucked_depth[hem] == 0])
+        edges = np.concatenate([hem[self.tucked_depth[hem] == 0], np.flatnonzero(self.turned)])
+        return path_lengths(vertices, faces, edges)
 
     def drape(self, poses: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
         """The whole garment by itself, in several poses.

@@ -73,10 +73,11 @@ class LayerOrder:
                 lack, free = self._lack(yielding[order.contact[c]], partner[c], steady)
                 if not again:
                     self._free[c] = free
-                push[self._pushes[c]] = np.maximum(push[self._pushes[c]], lack * self._shares[c])
+                before, asked = push[self._pushes[c]], lack * self._shares[c]
+                push[self._pushes[c]] = np.where(np.abs(asked) > np.abs(before), asked, before)
             yielding[order.moved, :3] += self._side * push[:, None] * yielding[order.moved, 3:]
             total += push
-            looked_at = push[place] > AGAIN
+            looked_at = np.abs(push[place]) > AGAIN
         kept = total
         if passed >= 0:
             kept = np.clip(total, self._last_total - PUSH_PACE * passed, self._last_total + PUSH_PACE * passed)

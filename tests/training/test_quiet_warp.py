@@ -30,3 +30,9 @@ def test_neither_says_a_word(tmp_path):
 def test_warp_comes_from_one_place():
     imports = re.compile("^ *(import|from) warp", re.M)
     assert [path.name for path in SOURCES.rglob("*.py") if imports.search(path.read_text())] == ["quiet_warp.py"]
+
+
+def test_no_kernel_is_differentiated():
+    """Backward passes, which nothing calls, would double the time that kernels take to compile."""
+    kernels = [path for path in SOURCES.rglob("*.py") if "@wp.kernel" in path.read_text()]
+    assert kernels and all('wp.set_module_options({"enable_backward": False})' in path.read_text() for path in kernels)

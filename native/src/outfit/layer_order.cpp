@@ -1,6 +1,7 @@
 #include "outfit/layer_order.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -266,16 +267,17 @@ bool LayerOrder::push_lacking(const ClothRows& steady, const ClothRows& yielding
       const std::int32_t c = near_[first + k];
       for (std::int32_t at = push_start_[c]; at < push_start_[c + 1]; ++at) {
         float& push = push_[push_to_[at]];
-        push = std::max(push, wanted[k] * push_share_[at]);
+        const float asked = wanted[k] * push_share_[at];
+        push = std::abs(asked) > std::abs(push) ? asked : push;
       }
     }
   }
   if (!any) return false;
   int pushed = 0;
   for (int k = 0; k < moved_count_; ++k) {
-    has_moved_[k] = push_[k] > kAgain;
+    has_moved_[k] = std::abs(push_[k]) > kAgain;
     pushed_[pushed] = k;
-    pushed += push_[k] > 0.0f;
+    pushed += push_[k] != 0.0f;
   }
   for (int k = 0; k < pushed; ++k) {
     const std::int32_t at = pushed_[k];

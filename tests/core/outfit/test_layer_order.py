@@ -5,6 +5,7 @@ import pytest
 from native_frames import NativeLayerOrder
 from random_models import tube
 from reference.layer_order import MOST_PUSH, LayerOrder
+from scipy.spatial import cKDTree
 
 from physkin_core.model.garment import vertex_normals
 from physkin_core.outfit.layer_order import RADIUS, bind_layer_order
@@ -165,3 +166,54 @@ def test_cloth_that_folds_over_finds_who_is_over_it(layers):
         keeper.apply(inner, outer, look_at_all=False)
     points, surface = (rows[:, :3].astype(np.float64) for rows in (outer[away_from_hems], inner))
     assert signed_distance(points, surface, INNER.faces).min() > LAYER_GAP
+
+
+RING = np.arange(len(INNER.vertices)) // 60
+FRONT, LAPEL = RING <= 18, RING > 18
+
+
+def lapelled(radius, *, dent=0.0):
+    """The tube (n, 6) folded outwards over its 19th ring and down again, 4 mm over what lies beneath: that cloth shows
+    its inside. dent: how deep [m] its front side goes in."""
+    vertices = INNER.vertices.copy()
+    spacing = vertices[60, 2] - vertices[0, 2]
+    out = np.where(LAPEL, radius + 0.004, radius) - dent * np.exp(
+        -((np.hypot(INNER.vertices[:, 1], (RING - 15) * spacing) / 0.04) ** 2)
+    ) * (FRONT & (INNER.vertices[:, 0] > 0))
+    vertices[:, :2] *= (out / 0.15)[:, None]
+    vertices[LAPEL, 2] -= 2 * spacing * (RING[LAPEL] - 18.5)
+    return cloth(vertices)
+
+
+def order_of(steady, yielding, turned):
+    rest = (steady[:, :3], yielding[:, :3])
+    return bind_layer_order(0, 1, rest, (INNER.faces,) * 2, [(steady, yielding)], turned=turned)
+
+
+def test_a_lapel_goes_outwards_with_its_front():
+    """What of the front is 10 mm inside the shirt is pushed out of it, and the lapel, whose normals face the body, goes
+    along: it stays outside its own front. The reference agrees."""
+    shirt, jacket = cloth(INNER.vertices), lapelled(0.156, dent=0.016)
+    none = np.zeros(len(LAPEL), dtype=bool)
+    order = order_of(shirt, lapelled(0.156), (none, LAPEL))
+    assert not LAPEL[order.contact].any()
+    moved, expected = jacket.copy(), jacket.astype(np.float64)
+    NativeLayerOrder(order).apply(shirt, moved, look_at_all=True)
+    LayerOrder(order).apply(shirt.astype(np.float64), expected, look_at_all=True)
+    np.testing.assert_allclose(moved, expected, atol=1e-4)
+    assert radii(jacket)[FRONT].min() < 0.141 and radii(moved)[FRONT].min() > 0.15 + LAYER_GAP - 2e-4
+    grown = radii(moved) - radii(jacket)
+    assert grown[LAPEL].min() > -1e-6 and grown[LAPEL].max() > 0.008
+    front = cKDTree(jacket[FRONT, :3]).query(jacket[LAPEL, :3])[1]
+    assert (radii(moved)[LAPEL] - radii(moved)[FRONT][front]).min() > 0.002
+
+
+def test_a_lapel_does_not_turn_the_order_around():
+    """A coat is kept outside the front that a lapel lies on, whatever way the lapel's normals point."""
+    jacket, coat = lapelled(0.15), scaled(np.full(len(INNER.vertices), 0.158))
+    order = order_of(jacket, coat, (LAPEL, np.zeros(len(LAPEL), dtype=bool)))
+    assert not LAPEL[order.seed].any() and not LAPEL[order.ring].any()
+    dented_coat, _ = dented(0.02)
+    NativeLayerOrder(order).apply(jacket, dented_coat, look_at_all=True)
+    under = INNER.vertices[:, 2] < jacket[FRONT, 2].max() - 0.03
+    assert radii(dented_coat)[under].min() > 0.15 + LAYER_GAP - 2e-4

@@ -21,6 +21,7 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import HEM
 from physkin_core.outfit.coverage import Cover, covered
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
+from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.evaluator import Skinner
 
@@ -316,6 +317,41 @@ def test_a_shirt_under_a_waistband_that_is_not_tucked_is_warned_of(models, avata
     with pytest.warns(AvatarWarning, match="goes under the waistband of .* and is not tucked"):
         outfit = Outfit([load_garment_model("tanktop"), models["trousers"]], avatar)
     assert any("not tucked" in warning for warning in outfit.warnings)
+
+
+def test_an_open_front_is_no_waistband(worn):
+    """Its rim runs from the collar along the front edges to the hem: what lies under it is not tucked into it, and not
+    warned of either."""
+    shirt, over = worn("tshirt").layers[0], worn("longsleeve").layers[0]
+    vertices, faces = over.rest[:, :3], over.bound.faces
+    middle = vertices[faces].mean(axis=1)
+    edges = faces[(np.abs(middle[:, 1]) > 0.04) | (middle[:, 0] < 0)]
+    rest = (shirt.rest[:, :3], vertices)
+    assert tucked_depths(rest, (shirt.bound.faces, faces)) is not None
+    assert tucked_depths(rest, (shirt.bound.faces, edges)) is None
+
+
+def test_turned_cloth_is_found_and_ends_at_its_fold(worn):
+    """A lapel: cloth near the chest whose outside faces it. Where it is folded is its edge: what lies beside that is
+    seen. A patch of two fingers' width is a fold."""
+    for name in ("tshirt", "trousers"):
+        assert not worn(name).layers[0].turned.any()
+    outfit = worn("tshirt")
+    layer = outfit.layers[0]
+    rest, faces, avatar = layer.rest, layer.bound.faces, outfit.avatar
+    chest = rest[rest[:, 0] > 0.05, :3]
+    centre = chest[np.abs(chest - [0, 0, 0.35]).sum(axis=1).argmin()]
+    for radius, found in ((0.05, True), (0.02, False)):
+        patch = np.linalg.norm(rest[:, :3] - centre, axis=1) < radius
+        folded = rest.copy()
+        folded[patch, 3:] *= -1
+        turned = turned_cloth(folded, faces, avatar)
+        np.testing.assert_array_equal(turned, patch & found)
+        if found:
+            lapelled = replace(layer, turned=turned)
+            assert layer.hem_distance[patch].min() > HEM and lapelled.hem_distance[patch].max() == 0
+            beside = np.linalg.norm(rest[:, :3] - centre, axis=1) < radius + HEM / 2
+            assert lapelled.hem_distance[beside].max() < HEM < layer.hem_distance[beside].min()
 
 
 def test_wrong_arrays_are_refused(over_trousers, motion):

@@ -8,6 +8,7 @@ import re
 import signal
 import time
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -164,6 +165,32 @@ def test_training_gets_what_the_rest_leaves(monkeypatch):
         training_time.plan_steps(trainer(), late)
     with pytest.raises(ValueError, match="only 12 steps of 0.10 s here, at least 100 are needed: .* about 11"):
         training_time.plan_steps(trainer(steps=12), TimeBudget(10, clock=watch))
+
+
+def test_compiling_kernels_takes_nothing_of_the_minutes(band, recipe, tmp_path, monkeypatch):
+    """40 s, on a machine whose cache is empty: the mesh is read with the whole minute left."""
+    watch, budgets = Watch(), []
+
+    def watched(minutes):
+        budgets.append(TimeBudget(minutes, clock=watch))
+        return budgets[0]
+
+    def passing(seconds, *_):
+        watch.now += seconds
+
+    def read(path):
+        passing(1.0)
+        raise ValueError(path)
+
+    monkeypatch.setattr(command, "TimeBudget", watched)
+    monkeypatch.setattr(command, "compile_kernels", partial(passing, 40.0))
+    monkeypatch.setattr(command, "read_mesh", read)
+    with pytest.raises(ValueError, match="my band"):
+        fit_garment(band, tmp_path / "band.safetensors", FitSettings(minutes=1, device="cpu", recipe=recipe))
+    assert (watch.now, budgets[0].spent, budgets[0].left) == (41.0, 1.0, 59.0)
+    with pytest.raises(ValueError, match="my band"):
+        fit_garment(band, tmp_path / "band.safetensors", FitSettings(device="cpu", check_only=True))
+    assert watch.now == 42.0, "a mesh that is only checked needs few of them"
 
 
 @pytest.mark.parametrize(("spent", "steps"), [(35.0, 600), (58.0, 100)])

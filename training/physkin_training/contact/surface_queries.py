@@ -17,6 +17,8 @@ __all__ = ["FARTHEST", "BodySurface", "Closest", "covering_faces", "goes_through
 FARTHEST = 10.0
 """The body is looked for up to this distance [m]."""
 
+wp.set_module_options({"enable_backward": False})
+
 
 @wp.kernel
 def closest_kernel(

@@ -26,6 +26,7 @@ from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.model_file import save_garment_model
 from physkin_core.outfit.outfit_options import print_warnings
 from physkin_core.pictures.picture import PictureError, save_png
+from physkin_training.compiled_kernels import compile_kernels
 from physkin_training.config import as_toml, load_config
 from physkin_training.devices import DEVICE_HELP, resolve_device
 from physkin_training.fit_garment.checks import CheckedGarment, check_garment, write_garment
@@ -183,6 +184,8 @@ def fit_garment(source: Path, output: Path, settings: FitSettings) -> FittedGarm
         raise ValueError(f"--edge-length belongs to a sewing pattern ({PATTERN_SUFFIX}); {source} is a mesh")
     if settings.objects and pattern:
         raise ValueError(f"--object belongs to a mesh; {source} is a sewing pattern")
+    if not settings.check_only:
+        budget.uncounted(partial(compile_kernels, device))
     if pattern:
         edge_length = EDGE_LENGTH if settings.edge_length is None else settings.edge_length
         mesh = sewn_mesh(source, avatar, body_model.rig, edge_length=edge_length, device=device)

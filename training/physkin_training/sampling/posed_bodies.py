@@ -25,6 +25,8 @@ __all__ = ["BodySet", "PosedBodies", "posed_avatar"]
 GRID_SPACING = 3.0
 """Distance [m] between neighbouring samples' roots in the shared mesh."""
 
+wp.set_module_options({"enable_backward": False})
+
 
 @wp.kernel
 def forward_kinematics_kernel(
