@@ -1,7 +1,7 @@
 """Garment mesh and its rest data: what the physics and the quality figures measure against.
 
 Dimensions: `n` vertices, `f` faces, `e` edges, `q` interior edges (hinges), `c` edges along creases, `t` places on the
-flat cloth. Metres.
+flat cloth, `k` threads. Metres.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ from physkin_core.model.rest_shape import (
     side_lengths,
     turned_edges,
 )
+from physkin_core.model.surface_paths import mesh_edges
 
 __all__ = [
+    "LONGEST_THREAD",
     "Garment",
     "GarmentError",
     "face_areas",
@@ -39,6 +41,8 @@ __all__ = [
 
 PLACE_STEP = 2.0**-18
 """[m] What the file holds whole multiples of: places are kept to 2 µm."""
+LONGEST_THREAD = 0.1
+"""[m] between vertices that are kept together, where the garment is made."""
 
 
 class GarmentError(ValueError):
@@ -92,6 +96,8 @@ class Garment:
             at rest.
         panel_faces: (f, 3) int32, index into `panel_places` for each corner of `faces`. A vertex on a seam has one
             place on each panel. Given with `panel_places`, or None.
+        threads: (k, 2) vertices that are kept together, such as a button and its hole: first the one that lies over the
+            other. At most `LONGEST_THREAD` apart, and not joined by an edge. None: no threads.
         rest_edges: (f, 2, 2) [m], edges of each face at rest, in its plane.
         face_areas: (f,) [m2] at rest.
         vertex_areas: (n,) [m2] at rest, a third of each face for each of its corners.
@@ -103,7 +109,7 @@ class Garment:
 
     Raises:
         GarmentError: for vertices that are not finite, missing or degenerate faces, indices out of range, creases that
-            are not edges, and panels that do not belong to this mesh.
+            are not edges, panels that do not belong to this mesh, and threads that join nothing or are too long.
 
     Examples:
         >>> garment = physkin.load_garment_model("tshirt").garment
@@ -118,6 +124,7 @@ class Garment:
         "panel_places", Array("t 2", step=PLACE_STEP, optional=True), default=None
     )
     panel_faces: np.ndarray | None = described("panel_faces", Array("f 3", below="t", optional=True), default=None)
+    threads: np.ndarray | None = described("threads", Array("threads 2", below="n", optional=True), default=None)
     edges: np.ndarray = field(init=False, repr=False)
     face_edges: np.ndarray = field(init=False, repr=False)
     hinges: np.ndarray = field(init=False, repr=False)
@@ -141,7 +148,7 @@ class Garment:
             edges = turned_edges(flat_edges(panels["panel_places"][panels["panel_faces"]]), edges)
             areas = rest_areas(edges)
         self._set(**self._at_rest(edges, areas))
-        self._set(**self._checked_creases())
+        self._set(**self._checked_creases(), **self._checked_threads())
 
     def reshaped(self, vertices: np.ndarray) -> Garment:
         """The same mesh with another shape at rest.
@@ -167,7 +174,8 @@ class Garment:
         return other
 
     def submesh(self, chosen: np.ndarray) -> Garment:
-        """Some faces with their vertices, in the same order and with the same shape at rest.
+        """Some faces with their vertices, in the same order and with the same shape at rest, and the threads between
+        these.
 
         Args:
             chosen: (f,) bool.
@@ -178,6 +186,9 @@ class Garment:
         used, faces = np.unique(self.faces[chosen], return_inverse=True)
         other = Garment(self.vertices[used], faces.reshape(-1, 3))
         other._set(**other._at_rest(self.rest_edges[chosen], self.face_areas[chosen]))
+        kept = [] if self.threads is None else self.threads[np.isin(self.threads, used).all(axis=1)]
+        if len(kept):
+            other._set(threads=np.searchsorted(used, kept).astype(np.int32))
         return other
 
     def _lying(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,16 +225,40 @@ class Garment:
         creases, count = np.asarray(self.creases), len(self.vertices)
         if creases.ndim != 2 or creases.shape[1] != 2 or creases.dtype.kind not in "iu" or not len(creases):
             raise GarmentError(f"creases {creases.shape} of {creases.dtype} must be (c, 2) vertex indices, one or more")
-        along, edges, hinges = (
-            np.sort(pairs, axis=1) @ [count, 1] for pairs in (creases.astype(np.int64), self.edges, self.hinges[:, :2])
-        )
+        along, edges, hinges = (_keys(pairs, count) for pairs in (creases, self.edges, self.hinges[:, :2]))
         there = np.isin(along, edges) & (creases >= 0).all(axis=1) & (creases < count).all(axis=1)
         if not there.all():
             raise GarmentError(
                 f"{np.sum(~there)} creases run along no edge of the mesh, the first is from vertex "
-                f"{' to '.join(map(str, creases[~there][0]))}; mark creases (line elements of an OBJ) along edges alone"
+                f"{' to '.join(map(str, creases[~there][0]))}; mark creases along edges alone"
             )
         return {"creases": creases.astype(np.int32), "creased": np.isin(hinges, along)}
+
+    def _checked_threads(self) -> dict[str, np.ndarray]:
+        if self.threads is None:
+            return {}
+        threads, count = np.asarray(self.threads), len(self.vertices)
+        if threads.ndim != 2 or threads.shape[1] != 2 or threads.dtype.kind not in "iu" or not len(threads):
+            raise GarmentError(f"threads {threads.shape} of {threads.dtype} must be (k, 2) vertex indices, one or more")
+        if threads.min() < 0 or threads.max() >= count:
+            raise GarmentError(f"threads hold {threads.min()} to {threads.max()}, allowed 0 to {count - 1}")
+        keys = _keys(threads, count)
+        again = np.ones(len(keys), bool)
+        again[np.unique(keys, return_index=True)[1]] = False
+        length = np.linalg.norm(np.diff(self.vertices[threads], axis=1)[:, 0], axis=1)
+        for fault, why in (
+            (threads[:, 0] == threads[:, 1], "join a vertex to itself"),
+            (~np.isin(threads, self.faces).all(axis=1), "end at a vertex that no face has"),
+            (np.isin(keys, _keys(self.edges, count)), "run along an edge of the mesh"),
+            (again, "are there already"),
+            (length > LONGEST_THREAD + PLACE_STEP, f"are longer than {LONGEST_THREAD} m, up to {length.max():.3f} m"),
+        ):
+            if fault.any():
+                raise GarmentError(
+                    f"{fault.sum()} threads {why}, the first is from vertex "
+                    f"{' to '.join(map(str, threads[fault][0]))}; give each pair of points to keep together once"
+                )
+        return {"threads": threads.astype(np.int32)}
 
     def _set(self, **arrays: np.ndarray) -> None:
         for name, array in arrays.items():
@@ -235,8 +270,8 @@ def load_garment(path: str | Path) -> Garment:
     """Read a garment mesh.
 
     Vertices at equal positions (texture seams, the triangle soup of an STL file) become one. Line elements of an OBJ
-    are the garment's creases. Its texture coordinates are taken for its flat panels if their
-    sizes show that they are in metres.
+    are the garment's creases where they run along edges of faces, and its threads elsewhere. Its texture coordinates
+    are taken for its flat panels if their sizes show that they are in metres.
 
     Args:
         path: OBJ, PLY or STL file; metres, in the root frame of its canonical body.
@@ -272,7 +307,7 @@ def garment_of_mesh(
     Args:
         vertices: (n, 3) [m].
         faces: (f, 3).
-        line_elements: (k, 2) edges that are creases; None: none.
+        line_elements: (k, 2) creases, which are edges of the mesh, and threads; None: none.
         uv: (f, 3, 2) texture coordinates of the corners of faces, not finite where there are none; None: none.
 
     Returns:
@@ -283,16 +318,23 @@ def garment_of_mesh(
     """
     garment = Garment(vertices, faces)
     vertices, faces = garment.vertices, garment.faces
-    creases = np.zeros((0, 2), int) if line_elements is None else line_elements
+    lines = np.zeros((0, 2), int) if line_elements is None else line_elements
     _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
     if len(first) < len(vertices):
         kept, place = np.unique(first, return_inverse=True)
         place = place[inverse.reshape(-1)]
-        vertices, faces, creases = vertices[kept], place[faces], place[creases]
+        vertices, faces, lines = vertices[kept], place[faces], place[lines]
     panels = None if uv is None else panels_of_texture(vertices, faces, garment.face_areas, uv)[0]
-    if vertices is garment.vertices and not len(creases) and panels is None:
+    if vertices is garment.vertices and not len(lines) and panels is None:
         return garment
-    return Garment(vertices, faces, creases if len(creases) else None, *(panels or ()))
+    along = np.isin(_keys(lines, len(vertices)), _keys(mesh_edges(faces)[0], len(vertices)))
+    creases, threads = (each if len(each) else None for each in (lines[along], lines[~along]))
+    return Garment(vertices, faces, creases, *(panels or (None, None)), threads)
+
+
+def _keys(pairs: np.ndarray, count: int) -> np.ndarray:
+    """(p,) a number of each pair (p, 2) of `count` vertices, whatever their order."""
+    return np.sort(pairs, axis=1).astype(np.int64) @ [count, 1]
 
 
 def _connections(faces: np.ndarray) -> dict[str, np.ndarray]:

@@ -7,12 +7,12 @@ import torch
 import warp as wp
 from random_models import tube
 
+from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import Material
 from physkin_training.contact.wearing import Wearing
 from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.energies.motion import Dynamics
 from physkin_training.energies.rest_data import RestData
-from physkin_training.energies.seams import Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
 
 CPU = torch.device("cpu")
@@ -28,8 +28,8 @@ class CrumpledTube:
     `floor`; three of its vertices are tied to corners of the floor. It bends from the shape that it was made in.
     `potential`: of a step that `begin` told of.
 
-    only: of the energies, default all but `seams`, which are there while a garment is sewn and draw three pairs
-    together. worn: whether deep contact counts. scale: of the rest shape.
+    only: of the energies, default all; `threads` draw three pairs of vertices together. worn: whether deep contact
+    counts. scale: of the rest shape.
     """
 
     def __init__(
@@ -38,6 +38,9 @@ class CrumpledTube:
         wp.config.quiet = True
         wp.init()
         self.garment = tube(rings=4, segments=7, radius=0.1, height=0.12)
+        if only == "threads":
+            threads = np.array([[1, 7], [4, 10], [19, 25]])
+            self.garment = Garment(self.garment.vertices, self.garment.faces, threads=threads)
         n = len(self.garment.vertices)
         self.offset, self.down = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[0.0, 0, -1]] * SAMPLES)
         points = np.concatenate([FLOOR + [0, 0, floor] + offset for offset in self.offset.numpy()])
@@ -59,10 +62,6 @@ class CrumpledTube:
             **options,
         )
         self.potential.bend.stiffer.copy_(torch.tensor([1.0, 3.0]))
-        if only == "seams":
-            seams = Seams(self.potential.cloth, np.array([[0, 17], [3, 25], [4, 5]]), stiffness=3.0)
-            seams.gap.fill_(0.02)
-            self.potential.energies.append(seams)
         if only:
             self.potential.energies = [each for each in self.potential.energies if each.name == only]
         self.rest = torch.tensor(np.stack([self.garment.vertices] * SAMPLES), dtype=torch.float32)

@@ -14,6 +14,7 @@ from physkin_core.model.garment import face_areas, vertex_normals
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO_FACES = np.array([[0, 1, 2], [0, 2, 3]])
+TRIANGLE = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]])
 
 
 def test_rest_data_of_a_square():
@@ -131,18 +132,63 @@ def test_line_elements_of_an_obj_are_creases(tmp_path, doubled):
     assert garment.creases is None and not garment.creased.any()
 
 
+def apart(tmp_path, *lines: str):
+    """The file of two triangles 2 mm apart, and line elements."""
+    text = "".join("v {} {} {}\n".format(*corner) for corner in [*TRIANGLE, *(TRIANGLE + [0.0, 0.0, 0.002])])
+    path = tmp_path / "apart.obj"
+    path.write_text("\n".join([text + "f 1 2 3\nf 4 5 6", *lines, ""]))
+    return path
+
+
+def test_line_elements_that_run_along_no_edge_are_threads(tmp_path):
+    """Kept with the vertices that they join: through another shape, and in a part of the mesh. Their order is, too."""
+    loaded = load_garment(apart(tmp_path, "l 1 2", "l 6 3", "l 2 5", "l 3 1"))
+    np.testing.assert_array_equal(loaded.threads, [[5, 2], [1, 4]])
+    np.testing.assert_array_equal(loaded.creases, [[0, 1], [2, 0]])
+    np.testing.assert_array_equal(loaded.reshaped(10 * loaded.vertices).threads, loaded.threads)
+    both, one = loaded.submesh(np.array([True, True])), loaded.submesh(np.array([True, False]))
+    np.testing.assert_array_equal(both.threads, loaded.threads)
+    assert one.threads is None and load_garment(apart(tmp_path)).threads is None
+    wider = Garment(np.vstack([[9, 9, 9], loaded.vertices]), loaded.faces + 1, threads=loaded.threads + 1)
+    np.testing.assert_array_equal(wider.submesh(np.array([True, True])).threads, loaded.threads)
+
+
+def test_threads_that_hold_nothing_together_are_refused(tmp_path):
+    for lines, message in (
+        (["l 2 5", "l 3 3"], "1 threads join a vertex to itself, the first is from vertex 2 to 2; give each pair"),
+        (["l 2 5", "l 1 4", "l 5 2"], "1 threads are there already, the first is from vertex 4 to 1"),
+        (
+            ["v 0 0 0.01", "l 2 5", "l 1 7"],
+            "1 threads end at a vertex that no face has, the first is from vertex 0 to 6",
+        ),
+    ):
+        with pytest.raises(GarmentError, match=message):
+            load_garment(apart(tmp_path, *lines))
+    text = apart(tmp_path, "l 1 5", "l 2 4").read_text().replace("0.05", "0.5")
+    (tmp_path / "apart.obj").write_text(text)
+    with pytest.raises(
+        GarmentError, match="2 threads are longer than 0.1 m, up to 0.500 m, the first is from vertex 0"
+    ):
+        load_garment(tmp_path / "apart.obj")
+    with pytest.raises(GarmentError, match="1 threads run along an edge of the mesh"):
+        Garment(TRIANGLE, np.array([[0, 1, 2]]), threads=np.array([[2, 1]]))
+    with pytest.raises(GarmentError, match="threads hold -1 to 0, allowed 0 to 2"):
+        Garment(TRIANGLE, np.array([[0, 1, 2]]), threads=np.array([[0, -1]]))
+    for threads in ([[0.0, 1.0]], [0, 1], np.zeros((0, 2), int)):
+        with pytest.raises(GarmentError, match=r"must be \(k, 2\) vertex indices, one or more"):
+            Garment(TRIANGLE, np.array([[0, 1, 2]]), threads=np.array(threads))
+
+
 def test_creases_off_the_edges_are_refused(tmp_path):
     text = "".join("v {} {} {}\n".format(*corner) for corner in SQUARE) + "f 1 2 3\nf 1 3 4\n"
     for line, message in (
-        ("l 2 4", "1 creases run along no edge of the mesh, the first is from vertex 1 to 3; mark creases"),
-        ("l 1 3 1\nl 3 3", "1 creases run along no edge of the mesh, the first is from vertex 2 to 2"),
         ("l 1 9", "a line has corners at vertices that do not exist; there are 4"),
         ("l 1 x", "'l 1 x': 'x' is no corner"),
     ):
         (tmp_path / "odd.obj").write_text(f"{text}{line}\n")
         with pytest.raises(GarmentError, match=message):
             load_garment(tmp_path / "odd.obj")
-    for creases in ([[0, -1]], [[0, 5]], [[0.0, 1.0]], [0, 1], np.zeros((0, 2), int)):
+    for creases in ([[1, 3]], [[2, 2]], [[0, -1]], [[0, 5]], [[0.0, 1.0]], [0, 1], np.zeros((0, 2), int)):
         with pytest.raises(GarmentError, match="creases"):
             Garment(SQUARE, TWO_FACES, np.array(creases))
 

@@ -62,6 +62,18 @@ def test_creases_of_the_mesh_are_kept(saved, tmp_path):
     refused(path, "is not valid.*creases", lambda _, tensors: tensors.update({"garment.creases": np.array([[0, 999]])}))
 
 
+def test_threads_are_kept(saved, tmp_path):
+    model, path = load_garment_model(saved), tmp_path / "buttoned.safetensors"
+    assert model.garment.threads is None and "garment.threads" not in contents(saved)[1]
+    vertices = model.garment.vertices * 0.1
+    garment = Garment(vertices, model.garment.faces, threads=np.array([[len(vertices) - 1, 0]]))
+    save_garment_model(replace(model, garment=garment), path)
+    np.testing.assert_array_equal(load_garment_model(path).garment.threads, garment.threads)
+    for threads, message in (([[0, 0]], "join a vertex to itself"), ([[0, 999]], "threads hold 0 to 999")):
+        stored = {"garment.threads": np.array(threads)}
+        refused(path, message, lambda _, tensors, stored=stored: tensors.update(stored))
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_round_trip(tmp_path, size):
     """Indices, rig and plain data come back exactly, large network weights to a thousandth of a row's largest, geometry

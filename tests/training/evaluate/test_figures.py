@@ -27,8 +27,8 @@ def drapes(count, *, seed=4):
 
 def count_in(figures, batch, pick, **options):
     vertices, terms, distance = (a[pick] for a in batch)
-    band = torch.zeros(len(distance))
-    energies = Energies(*terms.T, band=band, signed_distance=distance, at_worn_part=worn_parts(distance))
+    held = dict.fromkeys(("band", "threads"), torch.zeros(len(distance)))
+    energies = Energies(*terms.T, **held, signed_distance=distance, at_worn_part=worn_parts(distance))
     figures.add(vertices, energies, **options)
 
 

@@ -36,7 +36,7 @@ def rewritten(path, avatar, template) -> tuple[Garment, str, str]:
     write_garment(path.with_name("garment.obj"), checked)
     (verdict,) = [each for each in checked.verdicts if each.check == "flat rest shape"]
     again = load_garment(path.with_name("garment.obj"))
-    for name in ("vertices", "faces", "creases", "panel_places", "panel_faces"):
+    for name in ("vertices", "faces", "creases", "panel_places", "panel_faces", "threads"):
         np.testing.assert_array_equal(getattr(checked.garment, name), getattr(again, name), err_msg=name)
     return again, verdict.outcome, verdict.found
 
@@ -66,6 +66,28 @@ def test_panels_and_creases_are_kept_through_repairs(template, tmp_path):
     np.testing.assert_allclose(on_seam[:, 1], 0.0, atol=1e-6)
     rest = sum(np.linalg.norm(np.diff(found.vertices[pair], axis=0)) for pair in found.creases)
     assert rest == pytest.approx(2 * 0.95 * HEIGHT, rel=1e-4)
+
+
+def test_threads_are_kept_through_repairs(template, tmp_path):
+    """By position: in centimetres, Y up, with every vertex twice, and refined. One through the body is too long."""
+    band = sewn_band(columns=12, rings=9)
+    over, behind = (int(np.argmax(side * band.vertices[:, 0] + band.vertices[:, 2])) for side in (1, -1))
+    joined = {v for edge in band.edges.tolist() if over in edge for v in edge}
+    near = np.argsort(np.linalg.norm(band.vertices - band.vertices[over], axis=1)).tolist()
+    under = next(v for v in near if v not in joined)
+    lines = [f"v {100 * y} {100 * z} {100 * x}" for x, y, z in np.repeat(band.vertices, 2, axis=0).tolist()]
+    lines += ["f " + " ".join(str(2 * v + 1 + k % 2) for v in face) for k, face in enumerate(band.faces)]
+    lines += [f"l {2 * over + 2} {2 * under + 1}", f"l {2 * over + 1} {2 * behind + 1}"]
+    path = tmp_path / "band.obj"
+    path.write_text("\n".join(lines))
+    checked = check_garment(read_mesh(path), template, template)
+    (said,) = [each for each in checked.verdicts if each.check == "threads"]
+    assert (said.outcome, said.found) == ("warning", "1 threads, 1 left out")
+    write_garment(tmp_path / "garment.obj", checked)
+    again = load_garment(tmp_path / "garment.obj")
+    assert len(again.vertices) > 3 * len(band.vertices) and again.creases is None
+    np.testing.assert_array_equal(checked.garment.threads, again.threads)
+    np.testing.assert_allclose(again.vertices[again.threads[0]], band.vertices[[over, under]], atol=2e-3)
 
 
 def test_panels_are_graded_to_the_template_with_a_mesh_of_another_body(template, tmp_path):

@@ -71,6 +71,26 @@ def test_a_triangle_hanging_from_two_corners(density):
     np.testing.assert_array_equal(result.vertices[:, :2].numpy(), start[:, :2].astype(np.float32))
 
 
+def test_a_thread_holds_cloth_together():
+    """A strip 5 cm wide lies in a U whose arms are 2 mm apart. One is held at its upper end; the other would slide
+    down by 25 cm, but a thread joins it to the first. It pulls with the weight of that arm, at most 2 x 0.025 N: less
+    than 0.1 mm at its stiffness."""
+    columns, rows, spacing = 5, 41, 0.0125
+    height = np.concatenate([np.arange(20)[::-1], [-0.5], np.arange(20)]) * spacing
+    x, y = np.repeat([0.001, 0.0, -0.001], [20, 1, 20]), spacing * (np.arange(columns) - 2)
+    vertices = np.stack(np.broadcast_arrays(x[:, None], y, height[:, None]), axis=2).reshape(-1, 3)
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1, 1)
+    faces = np.concatenate([corner + [0, columns, columns + 1], corner + [0, columns + 1, 1]])
+    thread = np.array([[2, 2 + (rows - 1) * columns]])
+    held, fell = torch.arange(len(vertices)) < columns, {}
+    for threads in (thread, None):
+        garment = Garment(vertices, faces, threads=threads)
+        found = solve(garment, Material(), vertices[None], mesh(FAR_AWAY, [0, 1, 2]), held=held, tolerance=0.02)
+        ends = found.vertices[0, thread[0]].numpy()
+        fell[threads is None] = float(np.linalg.norm(ends[1] - ends[0]))
+    assert 0.001 < fell[False] < 0.0021 and fell[True] > 0.2
+
+
 def test_a_hanging_tube_reaches_the_minimum_of_the_oracle():
     """The oracle's float64 energy, minimised by SciPy's L-BFGS from the same start."""
     garment = tube(rings=4, segments=6, radius=0.1, height=0.15)

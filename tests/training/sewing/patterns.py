@@ -20,6 +20,11 @@ def sides(*pairs: tuple) -> list:
     return [[{"panel": a, "edge": i}, {"panel": b, "edge": j}] for a, i, b, j in pairs]
 
 
+def buttons(*pairs: tuple) -> list:
+    """Closures of (panel, x, y, panel, x, y)."""
+    return [[{"panel": a, "at": [x, y]}, {"panel": b, "at": [u, v]}] for a, x, y, b, u, v in pairs]
+
+
 def tube_skirt(*, width: float = 60.0, length: float = 50.0, waist: float = 60.0, gather: float = 1.0) -> dict:
     """Two panels [cm] before and behind the hips, sewn at both sides; the back is drawn from inside, as patterns do.
     waist: width of the upper edge. gather: the back's side edges are so much longer."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from training.sewing.patterns import panel, tube_skirt, written
+from training.sewing.patterns import buttons, panel, tube_skirt, written
 
 pytest.importorskip("torch")
 from physkin_training.sewing.cut import BETWEEN_PANELS, BOLT, cut
@@ -51,6 +51,18 @@ def test_both_sides_of_a_stitch(skirt):
     np.testing.assert_allclose(1.2 * (mesh.hung[front, 2] - 0.5), mesh.hung[back, 2] - 0.5, atol=1e-12)
 
 
+def test_points_of_closures_are_vertices(tmp_path):
+    """Exactly, and the triangles about them are as even as elsewhere."""
+    pattern = tube_skirt()
+    pattern["pattern"]["closures"] = buttons(("back", 1.3, 47, "front", 58.9, 31.7), ("front", 20.1, 20, "back", 30, 2))
+    mesh = cut(load_pattern(written(tmp_path, pattern)), 0.02)
+    assert mesh.threads.shape == (2, 2)
+    wanted = [[[-0.25, -0.287, 0.97], [0.25, 0.289, 0.817]], [[0.25, -0.099, 0.7], [-0.25, 0.0, 0.52]]]
+    np.testing.assert_allclose(mesh.hung[mesh.threads], wanted, atol=1e-12)
+    areas, sides = areas_and_sides(mesh)
+    assert areas.min() > 0 and (4 * np.sqrt(3) * areas / (sides**2).sum(axis=1)).min() > 0.4, "no slivers"
+
+
 def test_panels_lie_beside_each_other_on_the_bolt(skirt):
     mesh = cut(skirt, 0.03)
     boxes = []
@@ -65,6 +77,15 @@ def test_panels_lie_beside_each_other_on_the_bolt(skirt):
 def test_refused(skirt, tmp_path):
     with pytest.raises(PatternError, match="edge length 0.001 m, allowed are 0.006 to 0.04 m"):
         cut(skirt, 0.001)
+    for point, message in (
+        ((61, 20), r"panel 'front': the closure at \(0.610, 0.200\) m is outside it; allowed are points inside, 5 mm"),
+        ((59.6, 20), "is 4.0 mm from its outline"),
+        ((20.3, 20), "is 3.0 mm from another one"),
+    ):
+        pattern = tube_skirt()
+        pattern["pattern"]["closures"] = buttons(("front", *point, "back", 30, 20), ("front", 20, 20, "back", 30, 10))
+        with pytest.raises(PatternError, match=message):
+            cut(load_pattern(written(tmp_path, pattern)), 0.02)
     slit = panel([[0, 0], [30, 0], [30, 40], [15.2, 40], [15.0, 1], [14.8, 27], [0, 27]])
     pattern = {"pattern": {"panels": {"slit": slit}, "stitches": []}, "properties": {"units_in_meter": 100}}
     with pytest.raises(PatternError, match="panel 'slit' is too narrow at .* give a shorter edge length"):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from training.sewing.patterns import panel, sides, tube_skirt, written
+from training.sewing.patterns import buttons, panel, sides, tube_skirt, written
 
 pytest.importorskip("torch")
 from physkin_training.sewing.pattern import PatternError, load_pattern
@@ -102,6 +102,8 @@ def changed(**changes) -> dict:
             "edge 1 of panel 'front', 0.500 m, to edge 2 of 'back', 1.600 m: one may be at most 3",
         ),
         (alone(panel([[0, 0], [40, 0], [40, 0.05], [0, 60]])), "panel 'p', edge 1 is 0.5 mm long"),
+        (changed(closures=buttons(("side", 1, 2, "back", 1, 2))), "closure 0 is of panel 'side', which there is not"),
+        (changed(closures=[buttons(("front", 1, 2, "back", 1, 2))[0][:1]]), "'pattern.closures.0.1': field required"),
         (
             alone(panel([[0, 0], [40, 0], [40, 60], [0, 60]], bends={1: {"type": "circle", "params": [20, 0, 0]}})),
             "panel 'p', edge 1: a circle of radius 0.2 m is too small",
@@ -151,6 +153,17 @@ def seam_ends(pattern) -> np.ndarray:
 def winding(pattern) -> list[float]:
     """How far forward each panel's outside faces."""
     return [float(np.cross(*each.axes.T)[0]) for each in pattern.panels.values()]
+
+
+@pytest.mark.parametrize("name", ["front", "back"])
+def test_points_of_closures_go_with_their_panels(name, tmp_path):
+    """The back is drawn from inside; either may be turned over."""
+    closures = {"closures": buttons(("front", 5, 45, "back", 8, 40), ("back", 20, 30, "front", 50, 10))}
+    pattern = changed(**closures)
+    for found in (load_pattern(written(tmp_path, each)) for each in (pattern, drawn_backwards(pattern, name))):
+        hung = [[found.panels[panel].hung(found.panels[panel].held[k]) for panel, k in pair] for pair in found.closures]
+        wanted = [[[0.25, -0.25, 0.95], [-0.25, -0.22, 0.9]], [[-0.25, -0.1, 0.8], [0.25, 0.2, 0.6]]]
+        np.testing.assert_allclose(hung, wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["front", "back"])

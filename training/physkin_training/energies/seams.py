@@ -1,4 +1,4 @@
-"""Seams while they are sewn: pairs of vertices that must not be farther apart than a gap, which the sewing closes."""
+"""Pairs of vertices that must not be farther apart than a gap: seams while they are sewn, and a garment's threads."""
 
 import numpy as np
 import torch
@@ -6,9 +6,14 @@ import torch
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy
 from physkin_training.quiet_warp import wp
 
-__all__ = ["Seams"]
+__all__ = ["THREAD_GAP", "Seams", "Threads"]
 
 wp.set_module_options({"enable_backward": False})
+
+THREAD_GAP = 0.002
+"""[m] between the two layers of cloth that a thread holds."""
+THREAD_STIFFNESS = 3000.0
+"""[N/m] A button that is pulled by 3 N lets cloth 1 mm farther apart."""
 
 
 @wp.kernel
@@ -73,3 +78,15 @@ class Seams(Energy):
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
         self._launch(seam_hessian_kernel, drapes, *self._given, blocks)
+
+
+class Threads(Seams):
+    """The garment's threads; nothing without any."""
+
+    name = "threads"
+
+    def __init__(self, cloth: Cloth) -> None:
+        threads = cloth.garment.threads
+        pairs = np.empty((0, 2), dtype=np.int32) if threads is None else threads
+        super().__init__(cloth, pairs, stiffness=THREAD_STIFFNESS)
+        self.gap.fill_(THREAD_GAP)

@@ -20,7 +20,7 @@ from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.fit_garment import mesh_checks, wear_checks
 from physkin_training.fit_garment.file_objects import objects_at
 from physkin_training.fit_garment.own_pose import OwnPose
-from physkin_training.fit_garment.rest_shape import check_rest_shape, creases_along
+from physkin_training.fit_garment.rest_shape import check_rest_shape, check_threads, edges_along
 from physkin_training.fit_garment.verdicts import Checks, Verdict
 
 __all__ = ["CheckedGarment", "check_garment", "write_garment"]
@@ -32,7 +32,7 @@ class CheckedGarment:
 
     lying: (n, 3) [m], the same vertices on the body it was made on, before they were moved anywhere; in_own_pose:
     that body is held as in its file, otherwise as in the canonical pose. look: what else the file had, its texture
-    places being the flat panels where there are any. creases: (c, 2) edges.
+    places being the flat panels where there are any. line_elements: (k, 2) creases and threads.
     """
 
     vertices: np.ndarray
@@ -41,7 +41,7 @@ class CheckedGarment:
     lying: np.ndarray
     in_own_pose: bool
     look: Look
-    creases: np.ndarray
+    line_elements: np.ndarray
 
     @property
     def refused(self) -> bool:
@@ -53,7 +53,7 @@ class CheckedGarment:
         """Exactly what `load_garment` reads from the file that `write_garment` writes."""
         order = np.lexsort([self.look.material, self.look.part])
         uv = np.round(self.look.uv[order], 6)
-        return garment_of_mesh(self.vertices, self.faces[order], line_elements=self.creases, uv=uv)
+        return garment_of_mesh(self.vertices, self.faces[order], line_elements=self.line_elements, uv=uv)
 
     def moved(self, vertices: np.ndarray) -> CheckedGarment:
         """With its vertices (n, 3) [m] elsewhere on the training template."""
@@ -96,6 +96,10 @@ def check_garment(
     else:
         _run(checks, [partial(wear_checks.check_placement, surface=canonical)])
     source = checks.vertices, checks.faces
+    sewn_on = np.zeros((0, 2, 3))
+    if not checks.refused:
+        on_edges = edges_along(*source, checks.lines)[1]
+        checks.lines, sewn_on = checks.lines[on_edges], checks.lines[~on_edges]
     named = None if chosen or sewn or checks.refused else objects_at(mesh, checks.vertices[checks.faces].mean(axis=1))
     _run(
         checks,
@@ -112,9 +116,9 @@ def check_garment(
             mesh_checks.check_edges,
         ],
     )
-    lying, no_creases = checks.vertices, np.zeros((0, 2), dtype=int)
+    lying, lines = checks.vertices, np.zeros((0, 2), dtype=int)
     if checks.refused or (checks.unsure and not accept_placement):
-        return CheckedGarment(lying, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, no_creases)
+        return CheckedGarment(lying, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, lines)
     _run(
         checks,
         [
@@ -130,12 +134,12 @@ def check_garment(
             mesh_checks.check_self_intersection,
         ],
     )
-    creases = no_creases
     if not checks.refused:
         look = check_rest_shape(checks, look.on(source, lying, checks.faces), lying, made)
-        creases = creases_along(lying, checks.faces, checks.lines)
+        creases, _ = edges_along(lying, checks.faces, checks.lines)
+        lines = np.concatenate([creases, check_threads(checks, lying, sewn_on)])
     vertices = _as_written(checks.vertices)
-    return CheckedGarment(vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, creases)
+    return CheckedGarment(vertices, checks.faces, tuple(checks.verdicts), lying, in_own_pose, look, lines)
 
 
 def _as_written(vertices: np.ndarray) -> np.ndarray:
@@ -151,7 +155,7 @@ def _run(checks: Checks, steps: list[Callable[[Checks], None]]) -> None:
 
 
 def write_garment(path: Path, checked: CheckedGarment) -> None:
-    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding, with its look and
-    creases."""
+    """Write the repaired mesh as OBJ: metres, root frame of the template, outward winding, with its look,
+    creases and threads."""
     header = "root frame: X forward, Y left, Z up, metres, origin at the head of the root bone"
-    write_obj(path, checked.vertices, checked.faces, checked.look, header=header, line_elements=checked.creases)
+    write_obj(path, checked.vertices, checked.faces, checked.look, header=header, line_elements=checked.line_elements)

@@ -1,6 +1,7 @@
-"""What a mesh brings along of how it was sewn, on the repaired mesh: flat panels, by texture coordinates, and creases.
+"""What a mesh brings along of how it was sewn, on the repaired mesh: flat panels, by texture coordinates, creases and
+threads.
 
-Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth, `c` creases. Metres.
+Dimensions: `n` vertices, `f` faces, `t` places on the flat cloth, `c` creases, `k` lines. Metres.
 """
 
 from __future__ import annotations
@@ -15,15 +16,17 @@ from trimesh.geometry import faces_to_edges
 from trimesh.graph import connected_component_labels
 
 from physkin_core.mesh.look import Look
-from physkin_core.model.garment import Garment, face_areas
+from physkin_core.model.garment import LONGEST_THREAD, Garment, face_areas
 from physkin_core.model.rest_shape import flat_areas, flat_edges, panels_of_texture, side_lengths
 from physkin_core.model.surface_paths import mesh_edges
 from physkin_training.fit_garment.verdicts import Checks
 
-__all__ = ["check_rest_shape", "creases_along", "laid_out"]
+__all__ = ["check_rest_shape", "check_threads", "edges_along", "laid_out"]
 
 ON_LINE = 1e-4
 """[m] Vertices this near to a line element are on it."""
+AT_VERTEX = 0.003
+"""[m] Repairs move the vertices that threads end at by up to this."""
 SURELY_METRES = 0.05
 """Texture places that are smaller or larger than the mesh by more than this share may be in metres by accident."""
 ROUNDS = 200
@@ -118,16 +121,37 @@ def laid_out(places: np.ndarray, panel_faces: np.ndarray, wanted: np.ndarray) ->
     return now
 
 
-def creases_along(vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Edges (c, 2) of a mesh that run along line elements, whose ends are at `lines` (k, 2, 3); each line may be many
-    edges long."""
+def edges_along(vertices: np.ndarray, faces: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (c, 2) of a mesh that run along line elements, whose ends are at `lines` (k, 2, 3), and which lines (k,)
+    have some; each may be many edges long."""
     edges, _ = mesh_edges(faces)
     tree, along = cKDTree(vertices[edges].mean(axis=1)), np.zeros(len(edges), dtype=bool)
-    for start, end in lines:
+    on_edges = np.zeros(len(lines), dtype=bool)
+    for line, (start, end) in enumerate(lines):
         length = np.linalg.norm(end - start)
         near = np.array(tree.query_ball_point((start + end) / 2, length / 2 + ON_LINE), dtype=int)
         if length > ON_LINE and len(near):
             away = vertices[edges[near]] - start
             off = np.linalg.norm(np.cross(away, (end - start) / length), axis=-1)
-            along[near] |= (off < ON_LINE).all(axis=1)
-    return edges[along]
+            on_line = (off < ON_LINE).all(axis=1)
+            along[near] |= on_line
+            on_edges[line] = on_line.any()
+    return edges[along], on_edges
+
+
+def check_threads(checks: Checks, lying: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Threads (k, 2): vertices at the ends of line elements, `lines` (l, 2, 3), where the mesh is at `lying` (n, 3)."""
+    distance, threads = cKDTree(lying).query(lines)
+    apart = [np.linalg.norm(np.diff(vertices[threads], axis=1)[:, 0], axis=1) for vertices in (lying, checks.vertices)]
+    kept = (distance < AT_VERTEX).all(axis=1) & (np.max(apart, axis=0) <= LONGEST_THREAD)
+    kept &= threads[:, 0] != threads[:, 1]
+    pairs, first = np.unique(np.sort(threads, axis=1), axis=0, return_index=True)
+    number = [len(lying), 1]
+    kept &= np.isin(np.arange(len(lines)), first[~np.isin(pairs @ number, mesh_edges(checks.faces)[0] @ number)])
+    if len(lines):
+        allowed = (
+            f"line elements between vertices that no edge joins, {100 * LONGEST_THREAD:g} cm apart or less, once each"
+        )
+        found = f"{kept.sum()} threads" + ("" if kept.all() else f", {(~kept).sum()} left out")
+        checks.say("threads", "ok" if kept.all() else "warning", found, allowed)
+    return threads[kept]

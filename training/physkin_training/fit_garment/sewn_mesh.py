@@ -29,8 +29,8 @@ EDGE_LENGTH = 0.015
 def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, device: torch.device) -> MeshFile:
     """The garment of a pattern, sewn and hung on an avatar in the canonical pose: root frame, metres.
 
-    Its texture coordinates are those on the flat cloth, its parts are the panels. edge_length: of the triangles [m].
-    Raises PatternError as `load_pattern`, `cut` and `sewn` do.
+    Its texture coordinates are those on the flat cloth, its parts are the panels, its line elements the threads.
+    edge_length: of the triangles [m]. Raises PatternError as `load_pattern`, `cut` and `sewn` do.
     """
     pieces = cut(load_pattern(path), edge_length)
     log.info("%s: %d panels of %d vertices are sewn", path, len(pieces.names), len(pieces.places))
@@ -38,4 +38,5 @@ def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, devic
     garment = sewn(pieces, avatar, rig, material, device)
     uv = garment.panel_places[garment.panel_faces]
     look = Look(uv, np.full(len(garment.faces), -1), pieces.panel, parts=pieces.names)
-    return MeshFile(garment.vertices, garment.faces, 0, look)
+    threads = np.zeros((0, 2), int) if garment.threads is None else garment.threads
+    return MeshFile(garment.vertices, garment.faces, 0, look, threads)

@@ -22,12 +22,13 @@ from physkin_training.energies.collision import Collision
 from physkin_training.energies.energy import Cloth, Drapes, Energy, view
 from physkin_training.energies.gravity import Gravity
 from physkin_training.energies.rest_data import RestData
+from physkin_training.energies.seams import Threads
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]
 
-TERMS = ("stretch", "bend", "collision", "gravity", "band")
+TERMS = ("stretch", "bend", "collision", "gravity", "band", "threads")
 """The energies, in the order of `Energies`."""
 
 
@@ -41,6 +42,7 @@ class Energies:
     collision: torch.Tensor
     gravity: torch.Tensor
     band: torch.Tensor
+    threads: torch.Tensor
     signed_distance: torch.Tensor
     at_worn_part: torch.Tensor
 
@@ -99,7 +101,8 @@ class PhysicsLosses:
         self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
         self.stretch = Stretch(self.cloth)
-        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, Gravity(self.cloth), self.band]
+        held = self.band, Threads(self.cloth)
+        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, Gravity(self.cloth), *held]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(
@@ -136,7 +139,7 @@ class _PhysicsEnergy(torch.autograd.Function):
     def forward(ctx, x, losses, gravity, body, body_offset):
         energies, gradient = losses.evaluate(x, gravity, body, body_offset)
         if math.isfinite(losses.heavy_energy):
-            strained = energies["stretch"] + energies["bend"] + energies["collision"] + energies["band"]
+            strained = sum(energies[name] for name in TERMS if name != "gravity")
             gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
         parts = tuple(energies.values())

@@ -77,6 +77,7 @@ class Panel:
 
     edges: in order, counter-clockwise. axes: (3, 2), where the plane's axes point as it hangs about the body, and
     place: (3,) [m], where their origin is. label: the part of the body it is for, `body`, `arm` or `leg`, or empty.
+    held: (h, 2) [m], its points of closures.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Panel:
     axes: np.ndarray
     place: np.ndarray
     label: str
+    held: np.ndarray
 
     def hung(self, places: np.ndarray) -> np.ndarray:
         """Places (..., 2) of its plane about the body (..., 3) [m]."""
@@ -92,17 +94,19 @@ class Panel:
     def turned(self) -> Panel:
         """Its edges the other way around, the last one first, so that its other side is outside."""
         edges = tuple(Edge(edge.curve[::-1] * (-1.0, 1.0), edge.label) for edge in self.edges[::-1])
-        return replace(self, edges=edges, axes=self.axes * (-1.0, 1.0))
+        return replace(self, edges=edges, axes=self.axes * (-1.0, 1.0), held=self.held * (-1.0, 1.0))
 
 
 @dataclass(frozen=True)
 class Pattern:
     """panels: by name. stitches: pairs of (panel name, index of its edge) that are sewn together, point by point over
-    their whole length, the second one against its direction. named: what each of them is in the file."""
+    their whole length, the second one against its direction. named: what each of them is in the file. closures: pairs
+    of (panel name, index of a point in its `held`) that are kept together, first the one that lies over the other."""
 
     panels: dict[str, Panel]
     stitches: tuple[tuple[tuple[str, int], tuple[str, int]], ...]
     named: tuple[str, ...]
+    closures: tuple[tuple[tuple[str, int], tuple[str, int]], ...] = ()
 
     def edge(self, side: tuple[str, int]) -> Edge:
         """Of a stitch's side."""
@@ -148,6 +152,12 @@ class _Side:
     edge: int
 
 
+@checked(frozen=True)
+class _Point:
+    panel: str
+    at: Two
+
+
 MARK = "right_wrong"
 """Of a seam that GarmentCode sews start to start, the right side of one panel on the wrong side of the other."""
 
@@ -163,6 +173,7 @@ _Stitch = Annotated[tuple[_Side, _Side, Literal["right_wrong", None]], BeforeVal
 class _Panels:
     panels: Annotated[dict[str, _Panel], Field(min_length=1, max_length=1000)]
     stitches: Annotated[list[_Stitch], Field(max_length=10000)]
+    closures: Annotated[list[tuple[_Point, _Point]], Field(max_length=1000)] = Field(default_factory=list)
 
 
 @checked(frozen=True)
@@ -190,7 +201,8 @@ def load_pattern(path: str | Path) -> Pattern:
             place = ".".join(map(str, first["loc"]))
             raise ContentError(f"{shown(place)}: {first['msg'].lower()}, got {shown(first['input'])}") from error
         metres = 1 / file.properties.units_in_meter
-        panels = {name: _panel(name, panel, metres) for name, panel in file.pattern.panels.items()}
+        held, closures = _held(file.pattern)
+        panels = {name: _panel(name, panel, held[name], metres) for name, panel in file.pattern.panels.items()}
         _check_extent(panels.values(), file.properties.units_in_meter)
         for panel in panels.values():
             _check_outline(panel)
@@ -200,10 +212,23 @@ def load_pattern(path: str | Path) -> Pattern:
         stitches = tuple(tuple((side.panel, side.edge) for side in pair) for *pair, _ in each.values())
         _check_stitches(panels, stitches)
         marked = np.array([mark is not None for *_, mark in each.values()], dtype=bool)
-        return _directed(panels, stitches, marked, lambda text: log.warning("%s", sentence(f"pattern {path}: {text}")))
+        found = _directed(panels, stitches, marked, lambda text: log.warning("%s", sentence(f"pattern {path}: {text}")))
+        return replace(found, closures=closures)
 
 
-def _panel(name: str, panel: _Panel, metres: float) -> Panel:
+def _held(pattern: _Panels) -> tuple[dict[str, list[Two]], tuple]:
+    """Points of closures by panel, in the file's unit, and `Pattern.closures`."""
+    held: dict[str, list[Two]] = {name: [] for name in pattern.panels}
+    for number, pair in enumerate(pattern.closures):
+        for point in pair:
+            if point.panel not in held:
+                raise ContentError(f"closure {number} is of panel {shown(point.panel)}, which there is not")
+            held[point.panel].append(point.at)
+    place = {name: iter(range(len(points))) for name, points in held.items()}
+    return held, tuple(tuple((point.panel, next(place[point.panel])) for point in pair) for pair in pattern.closures)
+
+
+def _panel(name: str, panel: _Panel, held: list[Two], metres: float) -> Panel:
     corners, edges = np.array(panel.vertices) * metres, []
     for index, edge in enumerate(panel.edges):
         if not all(0 <= end < len(corners) for end in edge.endpoints):
@@ -228,12 +253,13 @@ def _panel(name: str, panel: _Panel, metres: float) -> Panel:
                 f"{following.endpoints[0]}; the edges of a panel must be one closed loop in order"
             )
     axes = TO_ROOT @ Rotation.from_euler("XYZ", panel.rotation, degrees=True).as_matrix()[:, :2]
+    points = np.reshape(held, (-1, 2)) * metres
     outline = np.concatenate([edge.curve[:-1] for edge in edges])
     following = np.roll(outline, -1, axis=0)
     if (outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum() < 0:  # drawn from inside
         edges = [Edge(edge.curve * (-1.0, 1.0), edge.label) for edge in edges]
-        axes = axes * (-1.0, 1.0)
-    return Panel(name, tuple(edges), axes, TO_ROOT @ panel.translation * metres, panel.label)
+        axes, points = axes * (-1.0, 1.0), points * (-1.0, 1.0)
+    return Panel(name, tuple(edges), axes, TO_ROOT @ panel.translation * metres, panel.label, points)
 
 
 def _curve(start: np.ndarray, end: np.ndarray, bend: _Bend | None, metres: float) -> np.ndarray:

@@ -30,9 +30,10 @@ from physkin_training.dynamics.incremental_potential import IncrementalPotential
 from physkin_training.dynamics.step_solver import StepSolver
 from physkin_training.energies.energy import view
 from physkin_training.energies.motion import Dynamics
-from physkin_training.energies.seams import Seams
+from physkin_training.energies.seams import THREAD_GAP, Seams
 from physkin_training.physics.energy_hessian import EnergyHessian
 from physkin_training.quiet_warp import wp
+from physkin_training.sewing.cloth_contact import ClothContact
 from physkin_training.sewing.cut import Cut
 from physkin_training.sewing.pattern import PatternError
 from physkin_training.sewing.squashed_faces import opened, squashed
@@ -55,7 +56,7 @@ CLEARANCE = 0.03
 MOST_THROUGH = 0.7
 """Share of a seam that may close through the doll: up to 0.4 does where a bodice hangs low, all of it between wrong
 edges."""
-CLOSING, SETTLING, GROWING, SOFTENING, HANGING = 25, 5, 40, 30, 40
+CLOSING, SETTLING, GROWING, SOFTENING, HANGING, SMOOTHING = 25, 5, 40, 30, 25, 15
 """Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
 between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
 cloth becomes soft while arms go down, and the sewn garment hangs."""
@@ -72,39 +73,72 @@ SEAM_STIFFNESS = 100.0, 3000.0
 LIGHT = 0.1
 """Of gravity while the doll grows: cloth stays on the shoulders, and does not slip off while they are narrow."""
 NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
+STILL = 5e-4
+"""[m] Cloth of which nothing moves farther in a step hangs."""
 LARGEST_GAP = 0.01  # [m]
 CLOSING_OFFSET = 0.003
 """[m] at which the body is felt until the cloth hangs, however far from it that is to be: sleeves leave raised arms
 little room."""
 REACH = 0.3
+LOOKS = 4
 EFFORT = {"tolerance": 1e-3, "iterations": 4, "products": 60}
 """Of a step: residual force [N], Newton steps, matrix products for each."""
 
 
 def sewn(
-    cut: Cut, avatar: Avatar, rig: Rig, material: Material, device: torch.device, *, watch: Watch | None = None
+    cut: Cut,
+    avatar: Avatar,
+    rig: Rig,
+    material: Material,
+    device: torch.device,
+    *,
+    draft: Cut | None = None,
+    watch: Watch | None = None,
 ) -> Garment:
     """The garment that a cut makes, as it hangs on an avatar in the canonical pose, with its panels as rest shape.
 
-    Panels hang about a body of the avatar's size that stands on its floor. watch: called after every step with the
+    Panels hang about a body of the avatar's size that stands on its floor. draft: the same pattern in longer edges, for
+    all until the garment hangs, which is then quicker; default the cut itself. watch: called after every step with the
     vertices, their faces and the body's vertices. Raises PatternError for a panel without a stitch, and where seams do
     not close or no surface is sewn.
     """
+    draft = draft or cut
     if loose := set(range(len(cut.names))) - set(cut.panel_of[cut.seams].flat):
         raise PatternError(f"panel {cut.names[min(loose)]!r} is not sewn to anything; every panel needs a stitch")
-    vertex = _sewn_together(cut)
+    sewn_draft, vertex = _sewn_together(draft), _sewn_together(cut)
     doll, arms = paper_doll(avatar, rig), Arms(avatar, rig)
     watch = watch or (lambda *_: None)
     body = wp.Mesh(view(_vectors(doll, device)), wp.array(avatar.faces.ravel(), dtype=wp.int32, device=str(device)))
-    hung = _about(cut, doll, avatar)
-    for closed, shape in _close(cut, hung, material, body, (doll, avatar.vertices), arms):
-        watch(closed, cut.faces, shape)
-    garment = _joined(cut, closed, vertex)
-    cloth = _Cloth(garment, material, body, garment.vertices)
-    for _ in range(HANGING):
-        hanging = cloth.step(1.0)
+    hung = _about(draft, doll, avatar)
+    for closed, shape in _close(draft, sewn_draft, hung, material, body, (doll, avatar.vertices), arms):
+        watch(closed, draft.faces, shape)
+    _check_closed(draft, closed)
+    garment = _joined(cut, vertex, _on(draft, _at_seams(closed, sewn_draft)[sewn_draft], cut))
+    first = np.unique(vertex, return_index=True)[1]
+    cloth = _Cloth(garment, material, body, garment.vertices, contact=(np.arange(len(first)), cut.panel_of[first], cut.places[first]))
+    hanging = garment.vertices
+    for _ in range(SMOOTHING):
+        before, hanging = hanging, cloth.step(1.0)
         watch(hanging, garment.faces, avatar.vertices)
+        if np.linalg.norm(hanging - before, axis=1).max() < STILL:
+            break
     return _made(cut, hanging, garment.faces)
+
+
+def _on(draft: Cut, shape: np.ndarray, cut: Cut) -> np.ndarray:
+    """Vertices (t, 3) of a cut on the shape that the draft of the same pattern has, the draft's vertices (t', 3)."""
+    places = np.empty_like(cut.hung)
+    for panel in range(len(cut.names)):
+        vertices = np.unique(draft.faces[draft.panel == panel])
+        faces = np.searchsorted(vertices, draft.faces[draft.panel == panel])
+        own = cut.panel_of == panel
+        closest = BodySurface(_flat(draft.drawn[vertices]), faces).closest(_flat(cut.drawn[own]))
+        places[own] = np.einsum("vc,vcx->vx", closest.barycentric, shape[vertices][faces[closest.face]])
+    return places
+
+
+def _flat(places: np.ndarray) -> np.ndarray:
+    return np.column_stack([places, np.zeros(len(places))])
 
 
 def _sewn_together(cut: Cut) -> np.ndarray:
@@ -214,62 +248,84 @@ def _closing_through(hung: np.ndarray, seams: np.ndarray, body: BodySurface) -> 
 
 
 def _close(
-    cut: Cut, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray], arms: Arms
+    cut: Cut, vertex: np.ndarray, hung: np.ndarray, material: Material, body: wp.Mesh, shapes: tuple[np.ndarray, np.ndarray], arms: Arms
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Vertices (t, 3) of the cut and (V, 3) of the body step by step, until seams are closed about its own shape.
 
     shapes: of the body, the doll and its own."""
     doll, skin = shapes
     flat = Garment(np.column_stack([cut.places, np.zeros(len(cut.places))]), cut.faces)
-    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, seams=cut.seams)
+    pairs = np.concatenate([cut.seams, cut.threads])
+    near = vertex, cut.panel_of, cut.places
+    cloth = _Cloth(flat, replace(material, contact_offset=CLOSING_OFFSET), body, hung, contact=near, seams=pairs)
     cloth.bend_stiffer(CARDBOARD)
+    cloth.contact.look(cloth._here)
+    cloth.contact.let_through()
     seams, (loose, tight) = cloth.seams, SEAM_STIFFNESS
     seams.stiffness.fill_(loose)
-    apart = torch.as_tensor(np.linalg.norm(hung[cut.seams[:, 1]] - hung[cut.seams[:, 0]], axis=1))
+    apart = torch.as_tensor(np.linalg.norm(hung[pairs[:, 1]] - hung[pairs[:, 0]], axis=1))
+    left = torch.as_tensor(np.repeat([0.0, THREAD_GAP], [len(cut.seams), len(cut.threads)]))
     heights = hung[cut.seams, 2].mean(axis=1)
     staying = (cut.panel_of[cut.seams] == _staying(cut)).any(axis=1)
     highest = cut.seams[staying & (heights > heights[staying].max() - HIGHEST)]
-    labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[cut.seams]]
+    labels = np.unique(cut.labels, return_inverse=True)[1][cut.panel_of[pairs]]
     begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
     for count in range(1, 2 * CLOSING + SETTLING + 1):
-        seams.gap.copy_(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0))
+        seams.gap.copy_(torch.maximum(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0), left))
         shape = cloth.meets(arms.raised(doll, min(max(count / CLOSING - 1, 0.0), 1.0)))
         closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
         yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
     seams.stiffness.fill_(tight)
+    cloth.contact.apart.fill_(True)
     for count in range(1, GROWING + 1):
         shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll), 1.0))
         yield cloth.step(LIGHT), shape
-    for count in range(1, SOFTENING + 1):
-        cloth.bend_stiffer(CARDBOARD ** (1 - count / SOFTENING))
-        shape = cloth.meets(arms.raised(skin, 1 - count / SOFTENING))
+    for count in range(1, SOFTENING + HANGING + 1):
+        left = max(1 - count / SOFTENING, 0.0)
+        cloth.bend_stiffer(CARDBOARD**left)
+        shape = cloth.meets(arms.raised(skin, left))
         yield cloth.step(1.0), shape
 
 
-def _joined(cut: Cut, closed: np.ndarray, vertex: np.ndarray) -> Garment:
-    """The garment whose seams are single vertices, those of `_sewn_together`, from vertices (t, 3) whose seams are
-    closed."""
+def _check_closed(cut: Cut, closed: np.ndarray) -> None:
+    """Raises PatternError where a seam of vertices (t, 3) is open."""
     gaps = np.linalg.norm(closed[cut.seams[:, 1]] - closed[cut.seams[:, 0]], axis=1)
     if not gaps.max() <= LARGEST_GAP:
         raise PatternError(
             f"the seam of {cut.stitches[gaps.argmax()]} does not close: {1000 * gaps.max():.0f} mm are left, allowed "
             f"are {1000 * LARGEST_GAP:g} mm; does it fit the body?"
         )
-    middle = np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]
-    return _made(cut, middle, vertex[cut.faces])
+
+
+def _at_seams(closed: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+    """Vertices (n, 3) in the middle of those of a cut (t, 3) that become one."""
+    return np.stack([np.bincount(vertex, axis) for axis in closed.T], axis=1) / np.bincount(vertex)[:, None]
+
+
+def _joined(cut: Cut, vertex: np.ndarray, closed: np.ndarray) -> Garment:
+    """The garment whose seams are single vertices, those of `_sewn_together`, from vertices (t, 3) whose seams are
+    closed."""
+    return _made(cut, _at_seams(closed, vertex), vertex[cut.faces])
 
 
 def _made(cut: Cut, vertices: np.ndarray, faces: np.ndarray) -> Garment:
     """The garment of vertices (n, 3) and faces (f, 3). Where few faces are squashed, they are pulled open."""
     panels = cut.places, cut.faces
     vertices = opened(vertices, faces, *panels)
+    vertex = np.empty(len(cut.places), int)
+    vertex[cut.faces] = faces
     try:
-        return Garment(vertices, faces, None, *panels)
+        return Garment(vertices, faces, None, *panels, vertex[cut.threads] if len(cut.threads) else None)
     except GarmentError as error:
         bad = squashed(vertices, faces, *panels)
         most = cut.names[np.bincount(cut.panel[bad]).argmax()] if bad.any() else None
         where = f" ({bad.sum()} faces are squashed or drawn out, most of them of panel {most!r})" if most else ""
         raise PatternError(f"it cannot be sewn so, or does not fit the body{where}: {error}") from error
+
+
+class _Solver(StepSolver):
+    def step(self, here):
+        return self.kept_apart(here.vertices + super().step(here)) - here.vertices
 
 
 class _Cloth:
@@ -285,6 +341,7 @@ class _Cloth:
         body: wp.Mesh,
         start: np.ndarray,
         *,
+        contact: tuple,
         seams: np.ndarray = NO_SEAMS,
     ) -> None:
         device = torch.device(wp.device_to_torch(body.device))
@@ -292,7 +349,10 @@ class _Cloth:
         self._potential = IncrementalPotential(garment, material, 1, device, step=STEP, dynamics=still, reach=REACH)
         self.seams = Seams(self._potential.cloth, seams, stiffness=0.0)
         self._potential.energies.append(self.seams)
-        self._solver = StepSolver(EnergyHessian(self._potential), torch.ones(len(start), device=device))
+        self.contact = ClothContact(self._potential.cloth, *contact)
+        self._potential.energies.append(self.contact)
+        self._solver = _Solver(EnergyHessian(self._potential), torch.ones(len(start), device=device))
+        self._solver.kept_apart = self.contact.kept_apart
         self._body, self._nowhere = body, torch.zeros(1, 3, device=device)
         self._down, self._here = _vectors(UPRIGHT_GRAVITY, device)[None], _vectors(start, device)[None]
 
@@ -311,8 +371,12 @@ class _Cloth:
         """One step under a share of gravity; vertices (n, 3)."""
         self._potential.time_step.seconds = seconds
         self._potential.begin(self._here, self._here)
-        solution = self._solver.minimise(self._here, gravity * self._down, self._body, self._nowhere, **EFFORT)
-        self._here = solution.vertices
+        for _ in range(LOOKS):
+            self.contact.look(self._here)
+            solution = self._solver.minimise(self._here, gravity * self._down, self._body, self._nowhere, **EFFORT)
+            self._here = solution.vertices
+            if not self.contact.is_held_back(self._here):
+                break
         return self._here[0].double().cpu().numpy()
 
     def raised(self, height: float) -> np.ndarray:
