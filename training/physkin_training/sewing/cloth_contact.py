@@ -24,12 +24,10 @@ OFFSET = 0.003
 """[m] Cloth nearer to itself than this is pushed apart."""
 STIFFNESS = 5e5
 """[J/m4]: energy = stiffness * area * (depth below the offset)^2."""
-REACH = 0.01
-"""[m] within which pairs are looked for."""
+REACH = 0.7
+"""Pairs are looked for within this share of the edges' mean length."""
 KEPT = 0.9
 """Share of the distance to the plane between the two sides of a pair that a vertex may go."""
-FARTHEST = 0.5 * KEPT * REACH
-"""[m] that a vertex may go: two that are in no pair cannot meet."""
 BESIDE = 0.006
 """[m] What is nearer than this on the flat cloth is not pushed apart."""
 PAIRS = 24
@@ -132,12 +130,12 @@ def append(
 
 
 @wp.kernel
-def vertex_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs):
+def vertex_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs, reach: wp.float32):
     v = wp.tid()
     mesh = wp.mesh_get(mesh_id)
     x = mesh.points[v]
-    reach = wp.vec3(REACH, REACH, REACH)
-    query = wp.mesh_query_aabb(mesh_id, x - reach, x + reach)
+    around = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(mesh_id, x - around, x + around)
     face = wp.int32(0)
     own = topology.sewn[v]
     while wp.mesh_query_aabb_next(query, face):
@@ -146,12 +144,12 @@ def vertex_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs):
             at = closest_on_triangle(x, mesh.points[a], mesh.points[b], mesh.points[c])
             away = x - at[0] * mesh.points[a] - at[1] * mesh.points[b] - at[2] * mesh.points[c]
             distance = wp.length(away)
-            if distance < REACH and distance > 1.0e-7:
+            if distance < reach and distance > 1.0e-7:
                 append(pairs, topology, wp.vec4i(v, a, b, c), wp.vec4(1.0, -at[0], -at[1], -at[2]), 1, away)
 
 
 @wp.func
-def look_at_edges(points: wp.array(dtype=wp.vec3), topology: Topology, pairs: Pairs, one: wp.vec2i, other: wp.vec2i):
+def look_at_edges(points: wp.array(dtype=wp.vec3), topology: Topology, pairs: Pairs, reach: wp.float32, one: wp.vec2i, other: wp.vec2i):
     a, b, c, d = one[0], one[1], other[0], other[1]
     own_a, own_b, own_c, own_d = topology.sewn[a], topology.sewn[b], topology.sewn[c], topology.sewn[d]
     if own_c != own_a and own_c != own_b and own_d != own_a and own_d != own_b:
@@ -159,25 +157,25 @@ def look_at_edges(points: wp.array(dtype=wp.vec3), topology: Topology, pairs: Pa
         at = wp.closest_point_edge_edge(p, q, r, s, 1.0e-9)
         away = (p + at[0] * (q - p)) - (r + at[1] * (s - r))
         distance = wp.length(away)
-        if distance < REACH and distance > 1.0e-7:
+        if distance < reach and distance > 1.0e-7:
             share = wp.vec4(1.0 - at[0], at[0], at[1] - 1.0, -at[1])
             append(pairs, topology, wp.vec4i(a, b, c, d), share, 2, away)
 
 
 @wp.kernel
-def edge_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs):
+def edge_pairs_kernel(mesh_id: wp.uint64, topology: Topology, pairs: Pairs, reach: wp.float32):
     e = wp.tid()
     mesh = wp.mesh_get(mesh_id)
     edge = topology.edges[e]
     p, q = mesh.points[edge[0]], mesh.points[edge[1]]
-    reach = wp.vec3(REACH, REACH, REACH)
-    query = wp.mesh_query_aabb(mesh_id, wp.min(p, q) - reach, wp.max(p, q) + reach)
+    around = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(mesh_id, wp.min(p, q) - around, wp.max(p, q) + around)
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
         for k in range(3):
             other = topology.face_edges[face][k]
             if other > e and topology.owner[other] == face:
-                look_at_edges(mesh.points, topology, pairs, edge, topology.edges[other])
+                look_at_edges(mesh.points, topology, pairs, reach, edge, topology.edges[other])
 
 
 @wp.kernel
@@ -335,6 +333,8 @@ class ClothContact(Energy):
         garment, n = cloth.garment, len(cloth.garment.vertices)
         super().__init__(cloth, np.arange(n)[:, None])
         self._device = wp.device_from_torch(cloth.device)
+        self._reach = REACH * float(garment.edge_lengths.mean())
+        self._farthest = 0.5 * KEPT * self._reach
         most = PAIRS * n
         self._pairs = pairs = Pairs()
         for name, dtype in (("corners", wp.vec4i), ("share", wp.vec4), ("apart", wp.vec3), ("distance", wp.float32)):
@@ -381,7 +381,7 @@ class ClothContact(Energy):
         given = [self._mesh.id, self._topology, self._topology.tangled, wp.from_torch(self.crossed), self._along]
         wp.launch(crossings_kernel, edges, given, device=self._device)
         for kernel, count in ((vertex_pairs_kernel, len(self._points)), (edge_pairs_kernel, len(self._topology.edges))):
-            wp.launch(kernel, count, [self._mesh.id, self._topology, self._pairs], device=self._device)
+            wp.launch(kernel, count, [self._mesh.id, self._topology, self._pairs, self._reach], device=self._device)
         self._count = min(int(self._pairs.count.numpy()[0]), len(self._pairs.corners))
 
     def let_through(self) -> None:
@@ -411,7 +411,7 @@ class ClothContact(Energy):
         """Vertices (1, n, 3), on their way from where `look` was last as far as keeps pairs apart."""
         step = vertices[0] - self._points
         length = torch.linalg.vector_norm(step, dim=1, keepdim=True)
-        step *= FARTHEST / length.clamp_min(FARTHEST)
+        step *= self._farthest / length.clamp_min(self._farthest)
         allowed = torch.ones(len(step), device=step.device)
         given = [self._pairs, view(self._points), view(step.contiguous()), wp.from_torch(allowed)]
         wp.launch(allowed_kernel, self._count, given, device=self._device)
@@ -419,4 +419,4 @@ class ClothContact(Energy):
 
     def is_held_back(self, vertices: torch.Tensor) -> bool:
         """Whether some of vertices (1, n, 3) are as far from where `look` was last as they may go at most."""
-        return bool((vertices[0] - self._points).square().sum(dim=1).max() > (0.9 * FARTHEST) ** 2)
+        return bool((vertices[0] - self._points).square().sum(dim=1).max() > (0.9 * self._farthest) ** 2)

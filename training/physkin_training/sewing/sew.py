@@ -45,8 +45,8 @@ Watch = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 THIN, FLAT = 0.4, 0.1
 """What is left in the paper doll of the distance from the bones to the skin, and of the bones' distance in front of or
 behind the root."""
-ARMS_RAISED = np.radians(30.0)
-"""By how much arms are raised while sleeves are sewn to the body: as stiff as cardboard, they turn upwards then."""
+HIGHEST_ARMS = np.radians(60.0)
+"""While sleeves are sewn to the body, they turn upwards as they are as stiff as cardboard. Arms follow up to this."""
 NEAR = 0.3
 """Share of the panels' distance in front of or behind the root that is left when sewing begins."""
 LIFT, LIFT_STEP = 0.12, 0.01
@@ -63,7 +63,7 @@ cloth becomes soft while arms go down, and the sewn garment hangs."""
 HIGHEST = 0.05
 """While seams close, the panel that stays at its height is held by its seams up to this far [m] below the highest, so
 that nothing pulls a bodice off the shoulders."""
-STEP, CARDBOARD_STEP = 0.05, 0.5
+STEP, CARDBOARD_STEP, CALM_STEP = 0.05, 0.5, 0.02
 """[s] of a step: in the first, gravity alone moves cloth by 2.5 cm; in the second, next to nothing holds it."""
 CARDBOARD = 300.0
 """Times that cloth bends as stiffly until then: panels come together as they are instead of curling up, and sleeves
@@ -118,7 +118,7 @@ def sewn(
     cloth = _Cloth(garment, material, body, garment.vertices, contact=(np.arange(len(first)), cut.panel_of[first], cut.places[first]))
     hanging = garment.vertices
     for _ in range(SMOOTHING):
-        before, hanging = hanging, cloth.step(1.0)
+        before, hanging = hanging, cloth.step(1.0, seconds=CALM_STEP)
         watch(hanging, garment.faces, avatar.vertices)
         if np.linalg.norm(hanging - before, axis=1).max() < STILL:
             break
@@ -183,11 +183,22 @@ class Arms:
             share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
             joint = avatar.bone_heads[first]
             self._sides.append((share, joint, 1.0 if joint[1] > 0 else -1.0))
+        self.angles = np.zeros(len(self._sides))
 
-    def raised(self, vertices: np.ndarray, share: float) -> np.ndarray:
-        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of `ARMS_RAISED`."""
-        for arm, joint, upwards in self._sides:
-            turn = Rotation.from_euler("x", upwards * share * ARMS_RAISED)
+    def follow(self, cut: Cut, hung: np.ndarray, closed: np.ndarray) -> None:
+        """Be raised as far as sleeves have turned on their way from `hung` to `closed`, both (t, 3) of a cut."""
+        on_arms = (np.array(cut.labels) == "arm")[cut.panel_of]
+        for side, (_, _, upwards) in enumerate(self._sides):
+            sleeve = on_arms & (hung[:, 1] * upwards > 0)
+            if sleeve.any():
+                before, after = (shape[sleeve, 1:] - shape[sleeve, 1:].mean(axis=0) for shape in (hung, closed))
+                crossed, along = before.T @ after @ [[0.0, -1.0], [1.0, 0.0]], (before * after).sum()
+                self.angles[side] = np.clip(upwards * np.arctan2(np.trace(crossed), along), 0.0, HIGHEST_ARMS)
+
+    def raised(self, vertices: np.ndarray, share: float = 1.0) -> np.ndarray:
+        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of their angles."""
+        for (arm, joint, upwards), angle in zip(self._sides, self.angles):
+            turn = Rotation.from_euler("x", upwards * share * angle)
             vertices = vertices + arm * (turn.apply(vertices - joint) + joint - vertices)
         return vertices
 
@@ -272,13 +283,14 @@ def _close(
     begins = torch.as_tensor(np.where(labels[:, 0] == labels[:, 1], 0, CLOSING))
     for count in range(1, 2 * CLOSING + SETTLING + 1):
         seams.gap.copy_(torch.maximum(apart * (1 - (count - begins) / CLOSING).clamp(0.0, 1.0), left))
-        shape = cloth.meets(arms.raised(doll, min(max(count / CLOSING - 1, 0.0), 1.0)))
+        shape = cloth.meets(arms.raised(doll))
         closed = cloth.step(0.0, seconds=CARDBOARD_STEP)
+        arms.follow(cut, hung, closed)
         yield cloth.raised((hung[highest] - closed[highest])[..., 2].mean()), shape
     seams.stiffness.fill_(tight)
     cloth.contact.apart.fill_(True)
     for count in range(1, GROWING + 1):
-        shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll), 1.0))
+        shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll)))
         yield cloth.step(LIGHT), shape
     for count in range(1, SOFTENING + HANGING + 1):
         left = max(1 - count / SOFTENING, 0.0)
