@@ -38,7 +38,7 @@ EDGE_LENGTHS = {
     "dressshirt": 0.0138,
     "polo": 0.0121,
     "ziphoodie": 0.0147,
-    "cardigan": 0.0131,
+    "cardigan": 0.0134,
     "blazer": 0.014,
     "coat": 0.0168,
     "leggings": 0.012,
