@@ -20,8 +20,13 @@ OPENINGS = {
     "trousers": 3,
     "widetrousers": 3,
     "jumpsuit": 5,
+    "pleatedskirt": 2,
+    "leggings": 3,
+    **dict.fromkeys(("dressshirt", "cardigan", "blazer", "coat"), 3),
 }
-"""Of tops and dresses 4: a neck, a hem and two arms."""
+"""Of tops and dresses 4: a neck, a hem and two arms. Neck and hem of an open front are one."""
+STRETCHED = {"leggings": 0.15}
+"""How far edges are from their length on average. Leggings are cut smaller than the body; all else hangs."""
 
 
 def is_sewn(garment, name):
@@ -30,7 +35,7 @@ def is_sewn(garment, name):
     assert euler == 2 - OPENINGS.get(name, 4)
     assert garment.panel_places is not None and len(garment.vertices) < 6600
     lengths = np.linalg.norm(np.diff(garment.vertices[garment.edges], axis=1)[:, 0], axis=1)
-    assert np.abs(lengths / garment.edge_lengths - 1).mean() < 0.025
+    assert np.abs(lengths / garment.edge_lengths - 1).mean() < STRETCHED.get(name, 0.025)
     assert np.abs(garment.vertices[:, 1].max() + garment.vertices[:, 1].min()) < 0.03, "left is as right"
 
 

@@ -1,4 +1,4 @@
-"""Sew the wardrobe: fourteen garments from the sewing patterns in training/garments/patterns, on the garment body.
+"""Sew the wardrobe: twenty-two garments from the sewing patterns in training/garments/patterns, on the garment body.
 
 `python -m physkin_prepare.wardrobe [--names ...] [--output training/garments] [--device cpu]` writes one OBJ file each,
 in the root frame of the template, with the panels as parts and texture coordinates in metres along the grain.
@@ -35,6 +35,14 @@ EDGE_LENGTHS = {
     "dress": 0.0192,
     "maxidress": 0.0229,
     "jumpsuit": 0.0182,
+    "dressshirt": 0.0138,
+    "polo": 0.0121,
+    "ziphoodie": 0.0147,
+    "cardigan": 0.0134,
+    "blazer": 0.014,
+    "coat": 0.0168,
+    "leggings": 0.012,
+    "pleatedskirt": 0.0138,
 }
 """[m] of the triangles of each garment: 12 mm, or what gives 6,500 vertices."""
 
