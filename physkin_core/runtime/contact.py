@@ -135,8 +135,8 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
 
 
 def _turned(drape: np.ndarray, skin: Skin) -> np.ndarray:
-    """(s,) bool, of cloth (s, 6): the outside faces the body, as the fall of a collar or a lapel does, so that skin faces
-    it and none lies behind it. At an armpit a sleeve faces the trunk, but has its arm behind."""
+    """(s,) bool, of cloth (s, 6): the outside faces the body, as that of a collar's fall or a lapel does, so that skin
+    faces it and none lies behind it. At an armpit a sleeve faces the trunk, but has its arm behind."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([skin.points, TURNS * skin.normals], axis=1))
@@ -182,7 +182,7 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
 
 
 def _seeing(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Of samples `own`, whole blocks of those before whose outside blocks of the others lie, and the other way round."""
+    """Of samples `own`, whole blocks of those that see blocks of the others before their outside and are seen."""
     size: int = native.constants["block"]
     if not len(others):
         return others

@@ -4,7 +4,8 @@ The skin is points with normals that follow bones, in blocks of 8; samples of th
 skin counts for a sample depends on how its normal agrees with the mean normal of each block of skin, with the side that
 the garment gives for these two blocks. Planes of the nearest points that count are blended. What samples of cloth that
 hangs lack moves garment nodes; where samples still lack much vertices between them are looked up, too; samples that may
-touch far places of the cloth are looked up on these; and what all of them then lack moves detail nodes. Fields are those of `BoundGarment`.
+touch far places of the cloth are looked up on these; and what all of them then lack moves detail nodes. Fields are
+those of `BoundGarment`.
 
 Blocks of skin that are much farther off than the nearest one do not count, unless they do for another sample of the
 block of cloth: that is part of the result, as it moves shipped drapes by up to a centimetre. What else the kernel
@@ -40,8 +41,8 @@ LOOKS, LEAST = 0.003, 1e-5
 SLACK, PASSES = 0.0003, 2
 """[m] by which samples that lack nothing hold nodes back; times that nodes move."""
 TOUCHES, OPPOSED, HALF = 0.045, 0.5, 0.5
-"""[m] So far from a sample far places of its cloth count for it; cosine from which they do in full; and the part of what
-is lacking that each of two places makes up for."""
+"""[m] So far from a sample far places of its cloth count for it; cosine from which they do in full; and the part of
+what is lacking that each of two places makes up for."""
 FLATTENED = 0.3
 """Volume that detail is turned back by at least."""
 
@@ -127,9 +128,8 @@ def keep_out(bound, bones, nodes, offsets):
 
 
 def clearance(bound, bones, nodes, offsets):
-    """How far samples and vertices between them are from the skin, and samples that may touch far places of the cloth from
-    these, (s + t + k,) [m]; 1 where none is near. nodes, offsets:
-    of `keep_out`."""
+    """How far samples and vertices between them are from the skin, and samples that may touch far places of the cloth
+    from these, (s + t + k,) [m]; 1 where none is near. nodes, offsets: of `keep_out`."""
     body, (at, normals) = Skin.posed(bound, bones), _samples(bound, nodes, offsets)
     of_samples = meet_skin(body, at, normals, bound.contact_sides)
     off = [np.where(of_samples.holds > 0, of_samples.off, 1.0)]
@@ -151,8 +151,8 @@ def meet_skin(body, at, normals, sides):
 
 
 def meet_itself(bound, at, normals):
-    """Planes of samples that may touch far places of their cloth (k,): the mean of those near them, of samples that face
-    as the sides of their blocks say. at, normals: (s, 3)."""
+    """Planes of samples that may touch far places of their cloth (k,): the mean of those near them that face as the
+    sides of their blocks say. at, normals: (s, 3)."""
     at, normals = at[bound.touching_samples], normals[bound.touching_samples]
     block = np.arange(len(at)) // BLOCK
     sides = bound.touching_sides[block[:, None], block]
