@@ -2,7 +2,8 @@
 //
 // Samples of the cloth, one for each detail node, are looked up on the skin by the facing rule
 // (kernels/contact_kernel.hpp). Where cloth that hangs lacks something garment nodes move, so that it goes as a whole. Where
-// samples still lack much the vertices between them are looked up, too, and what all of these lack moves detail nodes.
+// samples still lack much the vertices between them are looked up, too, and samples that may touch far places of the
+// cloth are looked up on these (kernels/cloth_kernel.hpp), and what all of these lack moves detail nodes.
 // Vertices, points and other meshes that go with these nodes follow. Nothing is remembered from frame to frame.
 // physkin_core/runtime/contact.py chooses the samples.
 #pragma once
