@@ -104,7 +104,7 @@ class Contact {
   const std::int32_t* own_samples_;  // (own count,)
   const std::int16_t* own_sides_;    // (own blocks, rooms)
   const float* own_gaps_;            // (own count,) [m]
-  const float* hangs_;  // (samples,) 0 to 1
+  const float* hangs_;               // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
   float* most_;                              // (blocks between,) [m] that samples around lack
