@@ -359,6 +359,9 @@ def random_contact(
             "between_heights": rng.uniform(-0.01, 0.01, size=len(between)),
             "between_gaps": rng.uniform(0, 0.01, size=len(between)),
             "between_blocks": rng.integers(len(found["contact_sides"]), size=-(-len(between) // size)),
+            "touching_samples": np.tile(rng.integers(len(samples), size=size), 3),
+            "touching_gaps": rng.uniform(0, 0.01, size=3 * size),
+            "touching_sides": np.array([[0, 1, 1], [2, 0, -1], [2, -1, 0]]),
         }
     types = {"f": np.float32, "i": np.int32}
     return {name: np.ascontiguousarray(array, dtype=types[array.dtype.kind]) for name, array in found.items()}

@@ -58,7 +58,10 @@ class BoundGarment(SkinningData):
         of 16 samples and each of the skin 1 where the skin is beneath the cloth, -1 where it presses on it.
         between_nodes, between_weights (t, J): vertices between these samples, by the detail nodes they go with;
         between_heights (t,) [m] off the mean of those nodes' samples; between_gaps (t,); between_blocks: int32, for
-        each block of 16 the block of samples whose sides it has. All empty where nothing is kept out.
+        each block of 16 the block of samples whose sides it has. touching_samples (k,) int32, in blocks of 16: those
+        that may touch far places of the cloth; touching_gaps (k,) [m] that each keeps off these; touching_sides: int32,
+        for each two blocks -1 where they press on each other, where they overlap as made 1 if the second lies beneath
+        the first and 2 if over it, or 0. All empty where nothing is kept out.
     """
 
     bone_parents: np.ndarray
@@ -104,13 +107,18 @@ class BoundGarment(SkinningData):
     between_gaps: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     between_blocks: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
+    touching_samples: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    touching_gaps: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    touching_sides: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "detail_node_count", len(self.detail_offsets) // 3)
 
     @property
     def without_contact(self) -> BoundGarment:
         """The same, but not kept out of the skin: as the networks alone drape it."""
-        contact = [each for each in fields(self) if each.name.startswith(("contact_", "between_", "skin_"))]
+        prefixes = "contact_", "between_", "skin_", "touching_"
+        contact = [each for each in fields(self) if each.name.startswith(prefixes)]
         return replace(self, **{each.name: each.default_factory() for each in contact})
 
     def of_vertices(self, vertices: np.ndarray, faces: np.ndarray) -> BoundGarment:

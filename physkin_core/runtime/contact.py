@@ -51,7 +51,16 @@ JOINED = 0.1
 SLIDES = 0.1
 """[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: it never meets skin
 farther off."""
-BENEATH, PRESSES = 1, -1
+AHEAD, TURNS = 0.05, 0.1
+"""[m] Cloth is turned around where skin that faces it is so near; and by which skin that faces otherwise counts as
+farther off."""
+SEES = 0.25
+"""Cosine with both normals at rest, of places on different limbs that may touch."""
+OVERLAP = 0.025
+"""[m] Cloth overlaps where places that are far from each other along it are so near at rest and face alike."""
+OWN_GAP = 0.008
+"""[m] Samples are kept so far from far places of their cloth, or as far as at rest; they bend less than the cloth."""
+BENEATH, OVER, PRESSES = 1, 2, -1
 
 
 @dataclass(frozen=True)
@@ -90,11 +99,18 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
     (drape,) = drape_poses(bound, [(bound.dof_rest, UPRIGHT_GRAVITY)], precision="fp32")
     drape = drape.astype(np.float64)
     samples, detail_samples = _samples(bound, drape)
+    turned = _turned(drape[samples], skin)
+    if turned.any():
+        drape[_turned(drape, skin), 3:] *= -1
     between = _between(bound, drape, samples)
     sides = _sides(*np.split(drape[samples], 2, axis=1), skin, parts)
+    sampled = _sampled(bound, samples)
+    sampled["contact_normals"][turned] *= -1
+    touching = _touching(drape[samples], sampled["contact_detail_nodes"], skin, parts)
     skin, sides = _met(skin, sides)
     fields = {
-        **_sampled(bound, samples),
+        **sampled,
+        **touching,
         **_lying_between(bound, drape, between, samples, detail_samples),
         "skin_positions": as_float32(skin.points),
         "skin_normals": as_float32(skin.normals),
@@ -104,16 +120,79 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "contact_gaps": np.full(len(samples), -1.0, dtype=np.float32),
         "contact_hangs": np.zeros(len(samples), dtype=np.float32),
         "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
+        "touching_gaps": np.full(len(touching.get("touching_samples", ())), -1.0, dtype=np.float32),
     }
-    clearance = _clearance_at_rest(replace(bound, **fields))
-    gaps = np.clip(clearance - native.constants["soft"], 0, GAP)
-    free = np.clip((clearance[: len(samples)] - HUGS) / (HANGS - HUGS), 0, 1)
+    clearance = _clearance_at_rest(replace(bound, **fields)) - native.constants["soft"]
+    of_samples, of_between, of_touching = np.split(clearance, [len(samples), len(samples) + len(between)])
+    free = np.clip((of_samples + native.constants["soft"] - HUGS) / (HANGS - HUGS), 0, 1)
     return {
         **fields,
-        "contact_gaps": gaps[: len(samples)],
-        "between_gaps": gaps[len(samples) :],
+        "contact_gaps": np.clip(of_samples, 0, GAP),
+        "between_gaps": np.clip(of_between, 0, GAP),
         "contact_hangs": free * free * (3 - 2 * free),
+        "touching_gaps": np.minimum(of_touching, OWN_GAP),
     }
+
+
+def _turned(drape: np.ndarray, skin: Skin) -> np.ndarray:
+    """(s,) bool, of cloth (s, 6): the outside faces the body, as that of a collar's fall or a lapel does, so that skin
+    faces it and none lies behind it. At an armpit a sleeve faces the trunk, but has its arm behind."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(np.concatenate([skin.points, TURNS * skin.normals], axis=1))
+    behind, ahead = (tree.query(drape * [1, 1, 1, *[side * TURNS] * 3])[0] for side in (1, -1))
+    return (ahead < AHEAD) & (behind > 3 * ahead)
+
+
+def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) -> dict[str, np.ndarray]:
+    """Fields touching_... of `BoundGarment` but gaps: samples whose outsides see those of another limb at rest, or an
+    arm and the trunk each other's, and those that lie over each other as they were made. Cloth that hangs waves: of its
+    folds nobody knows which side they touch with.
+
+    drape, nodes: (s, 6) and detail nodes (s, J) of samples; none without detail.
+    """
+    from scipy.spatial import cKDTree
+
+    if not nodes.shape[1]:
+        return {}
+    size: int = native.constants["block"]
+    at, facing = np.split(drape, 2, axis=1)
+    off, nearest = cKDTree(skin.points).query(at)
+    limbs, arm = parts.limb[skin.part[nearest]], parts.arm[skin.part[nearest]]
+    groups = []
+    for limb in np.unique(limbs):
+        own = limbs == limb
+        others = ~own & (arm | arm[own].any() | ((limbs >= 0) & (limb >= 0)))
+        groups.append(_seeing(drape, np.flatnonzero(own & (off < HANGS)), np.flatnonzero(others)))
+    first, second = cKDTree(at).query_pairs(OVERLAP, output_type="ndarray").T
+    far = ~(nodes[first][:, :, None] == nodes[second][:, None]).any(axis=(1, 2))
+    first, second = (of[far & ((facing[first] * facing[second]).sum(axis=1) > 0.5)] for of in (first, second))
+    higher = np.sign(((at[first] - at[second]) * (facing[first] + facing[second])).sum(axis=1))
+    votes = np.bincount(np.r_[first, second], np.r_[higher, -higher], minlength=len(at))
+    groups += [np.flatnonzero(votes > 0), np.flatnonzero(votes < 0)]
+    groups = [group[_blocks_of_cloth(drape[group])][: len(group) // size * size] for group in groups]
+    samples = np.concatenate(groups).astype(np.int32)
+    kind = np.repeat(np.arange(len(groups)), [len(group) // size for group in groups])
+    a, b = np.meshgrid(kind, kind, indexing="ij")
+    over, limb, arm = len(groups) - 2, limbs[samples[::size]], arm[samples[::size]]
+    presses = (limb[:, None] != limb) & (arm[:, None] | arm | ((limb[:, None] >= 0) & (limb >= 0)))
+    sides = np.where(presses & (a < over) & (b < over), PRESSES, 0)
+    sides = np.where((a == over) & (b == over + 1), BENEATH, np.where((a == over + 1) & (b == over), OVER, sides))
+    return {"touching_samples": samples, "touching_sides": sides.astype(np.int32)} if sides.any() else {}
+
+
+def _seeing(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Of samples `own`, whole blocks of those that see blocks of the others before their outside and are seen."""
+    size: int = native.constants["block"]
+    if not len(others):
+        return others
+    others = others[_blocks_of_cloth(drape[others])]
+    first = np.arange(0, len(others), size)
+    blocks = np.add.reduceat(drape[others], first) / np.diff(first, append=len(others))[:, None]
+    apart = unit(blocks[:, :3] - drape[own, None, :3])
+    cosines = (apart * drape[own, None, 3:]).sum(axis=2), -(apart * unit(blocks[:, 3:])).sum(axis=2)
+    sight = np.minimum(*cosines).max(axis=1)
+    return own[(-sight).argsort(kind="stable")[: (sight > SEES).sum() // size * size]]
 
 
 def _met(skin: Skin, sides: np.ndarray) -> tuple[Skin, np.ndarray]:

@@ -156,6 +156,20 @@ WITHOUT_DETAIL = {
         (lambda g: dict(between_heights=g.between_heights[1:]), r"between_heights must be .* of shape \(25,\)"),
         (lambda g: dict(between_gaps=changed(g.between_gaps, 3, np.inf)), r"between_gaps\[3\].* is inf"),
         (lambda g: dict(between_blocks=g.between_blocks[:1]), "between_blocks are 1; expected 2"),
+        (
+            lambda g: dict(touching_samples=changed(g.touching_samples, 3, 25)),
+            r"touching_samples\[3\] is 25; .* \[0, 25\)",
+        ),
+        (lambda g: dict(touching_gaps=g.touching_gaps[1:]), r"touching_gaps must be .* of shape \(48,\)"),
+        (lambda g: dict(touching_sides=g.touching_sides[1:].copy()), "touching_sides are 2 x 3; expected one for each"),
+        (
+            lambda g: dict(touching_samples=g.touching_samples[1:], touching_gaps=g.touching_gaps[1:]),
+            "touching_sides are 3 x 3; expected one for each two blocks of 16 of 47 touching_samples",
+        ),
+        (
+            lambda g: dict(touching_sides=changed(g.touching_sides, (0, 1), 3)),
+            r"touching_sides\[1\] is 3; .* \[-1, 3\)",
+        ),
         (lambda g: dict(between_blocks=changed(g.between_blocks, 1, 2)), r"between_blocks\[1\] is 2; .* \[0, 2\)"),
     ],
 )

@@ -3,8 +3,9 @@
 The skin is points with normals that follow bones, in blocks of 8; samples of the cloth are in blocks of 16. What of the
 skin counts for a sample depends on how its normal agrees with the mean normal of each block of skin, with the side that
 the garment gives for these two blocks. Planes of the nearest points that count are blended. What samples of cloth that
-hangs lack moves garment nodes; where samples still lack much vertices between them are looked up, too; and what all of
-them then lack moves detail nodes. Fields are those of `BoundGarment`.
+hangs lack moves garment nodes; where samples still lack much vertices between them are looked up, too; samples that may
+touch far places of the cloth are looked up on these; and what all of them then lack moves detail nodes. Fields are
+those of `BoundGarment`.
 
 Blocks of skin that are much farther off than the nearest one do not count, unless they do for another sample of the
 block of cloth: that is part of the result, as it moves shipped drapes by up to a centimetre. What else the kernel
@@ -39,6 +40,9 @@ LOOKS, LEAST = 0.003, 1e-5
 """[m] Lack from which vertices between are looked at; lack, and moves, that stay."""
 SLACK, PASSES = 0.0003, 2
 """[m] by which samples that lack nothing hold nodes back; times that nodes move."""
+TOUCHES, OPPOSED, HALF = 0.045, 0.5, 0.5
+"""[m] So far from a sample far places of its cloth count for it; cosine from which they do in full; and the part of
+what is lacking that each of two places makes up for."""
 FLATTENED = 0.3
 """Volume that detail is turned back by at least."""
 
@@ -73,13 +77,15 @@ class Skin(NamedTuple):
 
 
 class Movers:
-    """Nodes that move, `count` of them, and how samples go with them: nodes, weights (s, J)."""
+    """Nodes that move, `count` of them, and how samples go with them: nodes, weights (s, J). again: (k,) samples that
+    stand behind the others once more, and do not hold back twice."""
 
-    def __init__(self, nodes, weights, count):
+    def __init__(self, nodes, weights, count, again=()):
         at = np.arange(nodes.size + 1, step=nodes.shape[1] or 1)
         weights = weights.astype(np.float64).reshape(-1)
         self.weights = csr_array((weights, nodes.reshape(-1), at), shape=(len(nodes), count))
         self.slack = SLACK * self.weights.sum(axis=0)
+        self.weights = self.weights[np.r_[: len(nodes), np.asarray(again, dtype=int)]]
 
     def move(self, left, planes, shares=1.0):
         """Moves (count, 3) for shares (s,) of what samples lack, and how far these then are off (s,)."""
@@ -112,20 +118,27 @@ def keep_out(bound, bones, nodes, offsets):
         found = meet_skin(body, *_between(bound, sample_of, at, normals), bound.contact_sides[bound.between_blocks])
         off, found = _lacking(found._replace(holds=share * found.holds), bound.between_gaps)
         left, planes = np.concatenate([left, off]), Planes(*map(np.concatenate, zip(planes, found)))
-    moves, _ = Movers(*_detail_of_all(bound), len(offsets)).move(left, planes)
+    if len(bound.touching_samples):
+        off, found = _lacking(meet_itself(bound, at, normals), bound.touching_gaps)
+        found = found._replace(holds=HALF * found.holds)
+        left, planes = np.concatenate([left, off]), Planes(*map(np.concatenate, zip(planes, found)))
+    moves, _ = Movers(*_detail_of_all(bound), len(offsets), bound.touching_samples).move(left, planes)
     moves[(moves**2).sum(axis=1) <= LEAST**2] = 0
     return nodes, offsets + _turned_back(bound, nodes, sample_of, moves)
 
 
 def clearance(bound, bones, nodes, offsets):
-    """How far samples and vertices between them are from the skin, (s + t,) [m]; 1 where none is near. nodes, offsets:
-    of `keep_out`."""
+    """How far samples and vertices between them are from the skin, and samples that may touch far places of the cloth
+    from these, (s + t + k,) [m]; 1 where none is near. nodes, offsets: of `keep_out`."""
     body, (at, normals) = Skin.posed(bound, bones), _samples(bound, nodes, offsets)
     of_samples = meet_skin(body, at, normals, bound.contact_sides)
     off = [np.where(of_samples.holds > 0, of_samples.off, 1.0)]
     if len(bound.between_heights):
         places = _between(bound, _sample_of(bound, len(offsets)), at, normals)
         found = meet_skin(body, *places, bound.contact_sides[bound.between_blocks])
+        off.append(np.where(found.holds > 0, found.off, 1.0))
+    if len(bound.touching_samples):
+        found = meet_itself(bound, at, normals)
         off.append(np.where(found.holds > 0, found.off, 1.0))
     return np.concatenate(off)
 
@@ -135,6 +148,21 @@ def meet_skin(body, at, normals, sides):
     blocks = [slice(first, first + BLOCK) for first in range(0, len(at), BLOCK)]
     found = [_meet(body, at[each], normals[each], side) for each, side in zip(blocks, sides)]
     return Planes(*map(np.concatenate, zip(*found)))
+
+
+def meet_itself(bound, at, normals):
+    """Planes of samples that may touch far places of their cloth (k,): the mean of those near them that face as the
+    sides of their blocks say. at, normals: (s, 3)."""
+    at, normals = at[bound.touching_samples], normals[bound.touching_samples]
+    block = np.arange(len(at)) // BLOCK
+    sides = bound.touching_sides[block[:, None], block]
+    apart = at[:, None] - at
+    facing = np.where(sides < 0, -1, 1) * (normals @ normals.T)
+    share = np.maximum(1 - (apart**2).sum(axis=2) / TOUCHES**2, 0) ** 2 * np.clip(facing / OPPOSED, 0, 1)
+    share = np.where(sides == 0, 0, share)
+    signed = np.where(sides > 1, -1, 1) * share
+    off = np.einsum("ab,abi,bi->a", signed, apart, normals) / np.maximum(share.sum(axis=1), 1e-9)
+    return Planes(off, unit(signed @ normals), np.minimum(share.sum(axis=1), 1))
 
 
 def _meet(body, at, normals, side):

@@ -17,6 +17,8 @@ constexpr float kLooks = 0.003f;
 constexpr float kSlack = 0.0003f;
 // What a sample lacks is its nodes' part only: the second time sees what the first has left.
 constexpr int kPasses = 2;
+// Of two places of the cloth each makes up for its part of what is lacking.
+constexpr float kOwnShare = 0.5f;
 // [m] Samples that lack less stay.
 constexpr float kLeast = 1e-5f;
 // Where skinning makes less of a volume than this, detail is moved as if it were this.
@@ -95,6 +97,11 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
             arena.take<std::int32_t>(std::size_t(skin_rooms_ * (kSkinBlock + 1) + 2)),
             arena.take<float>(std::size_t((skin_rooms_ + 1) * kBlock)),
             arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
+      own_count_(g.touching),
+      own_{own_count_ / kBlock, (own_count_ / kBlock + kBlock - 1) / kBlock * kBlock,
+           arena.take<float>(std::size_t(kSkinRow * own_count_))},
+      own_samples_(arena.copy(g.touching_samples, std::size_t(own_count_))),
+      own_gaps_(arena.copy(g.touching_gaps, std::size_t(own_count_))),
       hangs_(arena.copy(g.contact_hangs, std::size_t(samples_))),
       garment_nodes_(g.nodes, g.contact.influences, joined(g.contact.influence_nodes, samples_ * g.contact.influences),
                      joined(g.contact.influence_weights, samples_ * g.contact.influences), arena),
@@ -105,7 +112,7 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
                            between_ * g.contact.detail_influences),
                     arena),
       most_(arena.take<float>(std::size_t(g.between_block_count))),
-      near_(arena.take<Near>(std::size_t(samples_ + between_))),
+      near_(arena.take<Near>(std::size_t(measured()))),
       offsets_(arena.take<float>(3 * std::size_t(detail_nodes_.count))) {
   const int skin_blocks = g.skin_points / kSkinBlock;
   auto* sides = arena.take<std::int16_t>(std::size_t(blocks_.block_count) * std::size_t(skin_rooms_));
@@ -115,6 +122,13 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     }
   }
   sides_ = sides;
+  own_.spheres = arena.take<float>(4 * std::size_t(own_.rooms));
+  own_.listed = arena.take<std::int32_t>(std::size_t(own_count_));
+  auto* own_sides = arena.take<std::int16_t>(std::size_t(own_.count * own_.rooms));
+  for (int k = 0; k < own_.count * own_.count; ++k) {
+    own_sides[k / own_.count * own_.rooms + k % own_.count] = std::int16_t(g.touching_sides[k]);
+  }
+  own_sides_ = own_sides;
   auto* gaps = arena.take<float>(std::size_t(samples_ + between_));
   std::copy_n(g.contact_gaps, samples_, gaps);
   std::copy_n(g.between_gaps, between_, gaps + samples_);
@@ -149,13 +163,14 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
   place(node_transforms, offsets);
   near_count_ = blocks_between_ = 0;
   for (int first = 0; first < samples_; first += kBlock) {
-    look_up(skin, rows_ + kSkinRow * first, first / kBlock, first, std::min(first + kBlock, samples_), 1.0f);
+    if (!meet(skin, rows_ + kSkinRow * first, first / kBlock)) continue;
+    for (int s = first; s < std::min(first + kBlock, samples_); ++s) list(s, s - first, gaps_[s], 1);
   }
-  if (near_count_ == 0) return offsets;
   const bool has_detail = detail_nodes_.count > 0;
   if (move(garment_nodes_, has_detail ? hangs_ : nullptr)) move_garment_nodes(node_transforms);
   if (!has_detail) return offsets;
   look_between(skin);
+  meet_itself([this](int own, int place) { list(own_samples_[own], place, own_gaps_[own], kOwnShare); });
   if (!move(detail_nodes_, nullptr)) return offsets;
   std::copy_n(offsets, 3 * detail_nodes_.count, offsets_);
   for (int node = 0; node < detail_nodes_.count; ++node) {
@@ -173,7 +188,7 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
 void Contact::measure(const SkinBlocks& skin, const float* node_transforms, const float* offsets,
                       float* clearance) noexcept {
   place(node_transforms, offsets);
-  std::fill_n(clearance, samples_ + between_, kNoSkin);
+  std::fill_n(clearance, measured(), kNoSkin);
   const auto read = [&](bool any, int first, int end) {
     for (int s = first; any && s < end; ++s) {
       if (planes_[4 * kBlock + s - first] > 0) clearance[s] = planes_[s - first];
@@ -187,6 +202,9 @@ void Contact::measure(const SkinBlocks& skin, const float* node_transforms, cons
     read(meet(skin, between_rows_, block_of_[first / kBlock]), samples_ + first,
          samples_ + std::min(first + kBlock, between_));
   }
+  meet_itself([&](int own, int place) {
+    if (planes_[4 * kBlock + place] > 0) clearance[samples_ + between_ + own] = planes_[place];
+  });
 }
 
 std::size_t Contact::untouched() const noexcept {
@@ -210,13 +228,23 @@ bool Contact::meet(const SkinBlocks& skin, const float* rows, int block) noexcep
   return kernels_.meet_skin(skin, rows, sides_ + std::ptrdiff_t(block) * skin_rooms_, room_, planes_);
 }
 
-void Contact::look_up(const SkinBlocks& skin, const float* rows, int block, int first, int end, float share) noexcept {
-  if (!meet(skin, rows, block)) return;
-  for (int sample = first; sample < end; ++sample) {
-    const float* plane = planes_ + sample - first;
-    const float lacks = gaps_[sample] + kSoft - plane[0], holds = share * plane[4 * kBlock];
-    if (!(holds > 0) || !(lacks > 0)) continue;
-    near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, lacks, 0, holds};
+void Contact::list(int sample, int place, float gap, float share) noexcept {
+  const float* plane = planes_ + place;
+  const float lacks = gap + kSoft - plane[0], holds = share * plane[4 * kBlock];
+  if (!(holds > 0) || !(lacks > 0)) return;
+  near_[near_count_++] = Near{Four{plane[kBlock], plane[2 * kBlock], plane[3 * kBlock], 0}, sample, lacks, 0, holds};
+}
+
+template <class Met>
+void Contact::meet_itself(Met met) noexcept {
+  if (own_.count == 0) return;
+  for (int k = 0; k < own_count_; ++k) {
+    std::copy_n(rows_ + kSkinRow * own_samples_[k], kSkinRow, own_.rows + kSkinRow * k);
+  }
+  kernels_.bound_cloth(own_);
+  for (int block = 0; block < own_.count; ++block) {
+    if (!kernels_.meet_cloth(own_, block, own_sides_ + block * own_.rooms, planes_)) continue;
+    for (int place = 0; place < kBlock; ++place) met(kBlock * block + place, place);
   }
 }
 
@@ -287,8 +315,9 @@ void Contact::look_between(const SkinBlocks& skin) noexcept {
     ++blocks_between_;
     place_between(block);
     const int first = samples_ + kBlock * block;
-    look_up(skin, between_rows_, block_of_[block], first, std::min(first + kBlock, samples_ + between_),
-            std::min(most_[block] / kLooks - 1, 1.0f));
+    if (!meet(skin, between_rows_, block_of_[block])) continue;
+    const float share = std::min(most_[block] / kLooks - 1, 1.0f);
+    for (int s = first; s < std::min(first + kBlock, samples_ + between_); ++s) list(s, s - first, gaps_[s], share);
   }
 }
 

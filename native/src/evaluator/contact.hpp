@@ -2,7 +2,8 @@
 //
 // Samples of the cloth, one for each detail node, are looked up on the skin by the facing rule
 // (kernels/contact_kernel.hpp). Where cloth that hangs lacks something garment nodes move, so that it goes as a whole. Where
-// samples still lack much the vertices between them are looked up, too, and what all of these lack moves detail nodes.
+// samples still lack much the vertices between them are looked up, too, and samples that may touch far places of the
+// cloth are looked up on these (kernels/cloth_kernel.hpp), and what all of these lack moves detail nodes.
 // Vertices, points and other meshes that go with these nodes follow. Nothing is remembered from frame to frame.
 // physkin_core/runtime/contact.py chooses the samples.
 #pragma once
@@ -26,9 +27,10 @@ class Contact {
   // `offsets` itself where nothing is; null without detail. The skin is posed. Allocates nothing.
   const float* keep_out(const SkinBlocks& skin, float* node_transforms, const float* offsets) noexcept;
 
-  // How far samples, and those between them, are from the skin, (samples + between,) [m]; kNoSkin where none is near.
+  // How far samples, and those between them, are from the skin, and those that may touch far places of the cloth from
+  // these, (measured,) [m]; kNoSkin where none is near.
   void measure(const SkinBlocks& skin, const float* node_transforms, const float* offsets, float* clearance) noexcept;
-  int measured() const { return samples_ + between_; }
+  int measured() const { return samples_ + between_ + own_count_; }
   // Bytes of tables that the last frame had no need of: of vertices between samples, and of what is listed and moved.
   std::size_t untouched() const noexcept;
 
@@ -66,8 +68,11 @@ class Contact {
   void place(const float* node_transforms, const float* offsets) noexcept;
   // Looks a block of samples up that has the sides of `block`: planes into `planes_`, and whether any skin is near.
   bool meet(const SkinBlocks& skin, const float* rows, int block) noexcept;
-  // The same, and lists those that lack something.
-  void look_up(const SkinBlocks& skin, const float* rows, int block, int first, int end, float share) noexcept;
+  // Lists a sample, by its place in `planes_`, where it lacks something of a gap: a share of it.
+  void list(int sample, int place, float gap, float share) noexcept;
+  // Looks samples up on far places of their own cloth: met(its number among them, its place in `planes_`).
+  template <class Met>
+  void meet_itself(Met met) noexcept;
   float lack_of(const Near& near) const noexcept;
   // Finds moves for what samples lack, a share (samples,) of it each; null: all of it. Whether anything had to be moved.
   bool move(Movers& movers, const float* shares) noexcept;
@@ -94,7 +99,12 @@ class Contact {
   float *matrices_, *rows_;           // (nodes, 3, 4), and (samples, kSkinRow) where they put samples: x, y, z, normal
   float *between_rows_, *planes_;
   ContactRoom room_;
-  const float* hangs_;  // (samples,) 0 to 1
+  int own_count_;                    // of samples that may touch far places of the cloth
+  ClothBlocks own_;                  // these
+  const std::int32_t* own_samples_;  // (own count,)
+  const std::int16_t* own_sides_;    // (own blocks, rooms)
+  const float* own_gaps_;            // (own count,) [m]
+  const float* hangs_;               // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
   float* most_;                              // (blocks between,) [m] that samples around lack

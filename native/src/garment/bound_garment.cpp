@@ -88,6 +88,9 @@ void visit_bound_garment(BoundGarment& g, Visitor&& visit) {
   visit.floats("between_heights", g.between_heights, {&g.between});
   visit.floats("between_gaps", g.between_gaps, {&g.between});
   visit.indices("between_blocks", g.between_blocks, {&g.between_block_count}, 0, g.contact_blocks);
+  visit.indices("touching_samples", g.touching_samples, {&g.touching}, 0, g.contact.samples);
+  visit.floats("touching_gaps", g.touching_gaps, {&g.touching});
+  visit.indices("touching_sides", g.touching_sides, {&g.touching_blocks, &g.touching_other_blocks}, -1, 3);
 }
 
 // --- Reading ---
@@ -259,6 +262,12 @@ void check_contact(const BoundGarment& g) {
   if (g.meets_skin() && (g.contact_blocks != blocks || g.skin_blocks != skin_blocks)) {
     fail("contact_sides are " + std::to_string(g.contact_blocks) + " x " + std::to_string(g.skin_blocks) +
          "; expected " + std::to_string(blocks) + " x " + std::to_string(skin_blocks));
+  }
+  const int touching = g.touching / kBlock;
+  if (g.touching % kBlock != 0 || g.touching_blocks != touching || g.touching_other_blocks != touching) {
+    fail("touching_sides are " + std::to_string(g.touching_blocks) + " x " + std::to_string(g.touching_other_blocks) +
+         "; expected one for each two blocks of " + std::to_string(kBlock) + " of " + std::to_string(g.touching) +
+         " touching_samples");
   }
   if (g.between_block_count != (g.between + kBlock - 1) / kBlock) {
     fail("between_blocks are " + std::to_string(g.between_block_count) + "; expected " +

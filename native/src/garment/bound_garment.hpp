@@ -47,6 +47,7 @@ struct BoundGarment : SkinningData {
   int sway_joint_count = -1, sway_states = -1, sway_thigh_count = -1;
   int skin_points = -1, skin_influences = -1, contact_blocks = -1, skin_blocks = -1;
   int between = -1, between_block_count = -1;
+  int touching = -1, touching_blocks = -1, touching_other_blocks = -1;
 
   const std::int32_t* bone_parents = nullptr;  // (bones,) parent before child, -1 for the root
   const float* bone_heads = nullptr;           // (bones, 3) joint centres at the canonical pose
@@ -93,6 +94,10 @@ struct BoundGarment : SkinningData {
   const float* contact_gaps = nullptr;          // (contact samples,) kept from the skin
   const float* contact_hangs = nullptr;         // (contact samples,) how free each hangs, 0 to 1
   const std::int32_t* contact_sides = nullptr;  // (blocks of kBlock samples, blocks of skin) 1, -1 or 0 as of meet_skin
+  // Samples that may touch far places of the cloth, in blocks of kBlock, or none.
+  const std::int32_t* touching_samples = nullptr;  // (touching,)
+  const float* touching_gaps = nullptr;            // (touching,) kept from there
+  const std::int32_t* touching_sides = nullptr;    // (touching_blocks, touching_other_blocks) as of meet_cloth
   // Vertices between these samples, in blocks of kBlock; none without detail.
   const std::int32_t* between_nodes = nullptr;   // (between, detail influences) detail nodes they go with
   const float* between_weights = nullptr;        // (between, detail influences)
@@ -113,7 +118,7 @@ class FieldSource {
 };
 
 // Of the bound garment file: raised when the fields of a garment change, or the file's form.
-constexpr std::uint32_t kBoundFileVersion = 13;
+constexpr std::uint32_t kBoundFileVersion = 14;
 
 // Reads every field; what the arrays hold is for `validate` to check. detail_nodes: how many there are; throws
 // std::invalid_argument where that is no number of detail nodes.

@@ -44,6 +44,21 @@ struct ClothLanes {
   Floats of[6][kClothRegisters];
 };
 
+inline ClothLanes as_lanes(const float* rows) {
+  ClothLanes cloth;
+  for (int v = 0; v < kClothRegisters; ++v) {
+    const auto row = [&](int lane) { return rows + kSkinRow * (v * kLanes + lane); };
+    Floats place[4], normal[4];
+    load_columns(row, place);
+    load_columns([&](int lane) { return row(lane) + 2; }, normal);
+    for (int c = 0; c < 3; ++c) {
+      cloth.of[c][v] = place[c];
+      cloth.of[3 + c][v] = normal[c + 1];
+    }
+  }
+  return cloth;
+}
+
 // A block of cloth as a whole: a sphere around its samples, their mean normal, of unit length, and the cosines with that of
 // skin that counts for none of them, and from which on it counts in full for all.
 struct ClothBlock {
@@ -190,17 +205,7 @@ inline int nearest_blocks(const SkinBlocks& skin, const std::int16_t* sides, con
 inline bool meet_skin(const SkinBlocks& skin, const float* cloth_rows, const std::int16_t* sides,
                       const ContactRoom& room, float* planes) {
   constexpr float kFar = kContactReach * kContactReach;
-  ClothLanes cloth;
-  for (int v = 0; v < kClothRegisters; ++v) {
-    const auto row = [&](int lane) { return cloth_rows + kSkinRow * (v * kLanes + lane); };
-    Floats place[4], normal[4];
-    load_columns(row, place);
-    load_columns([&](int lane) { return row(lane) + 2; }, normal);
-    for (int c = 0; c < 3; ++c) {
-      cloth.of[c][v] = place[c];
-      cloth.of[3 + c][v] = normal[c + 1];
-    }
-  }
+  const ClothLanes cloth = as_lanes(cloth_rows);
   const NearBlocks near = blocks_near(skin, sides, as_a_whole(cloth), room);
   if (near.free) return false;
   const int count = nearest_blocks(skin, sides, cloth, near, room);

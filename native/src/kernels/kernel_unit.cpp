@@ -1,4 +1,5 @@
 // Compiled once per instruction set, with PHYSKIN_ISA set to its name and the flags that CMakeLists.txt gives it.
+#include "kernels/cloth_kernel.hpp"
 #include "kernels/contact_kernel.hpp"
 #include "kernels/dense_kernel.hpp"
 #include "kernels/oscillator_kernel.hpp"
@@ -23,6 +24,8 @@ const Kernels kernels{
     ring_normals,
     trunk_depth,
     meet_skin,
+    bound_cloth,
+    meet_cloth,
     oscillate,
     token_linear,
     token_norm,

@@ -149,6 +149,14 @@ struct ContactRoom {
   float *turned = nullptr, *squares = nullptr;
 };
 
+// Samples of cloth that may touch far places of its own, in blocks. Aligned.
+struct ClothBlocks {
+  int count = 0, rooms = 0;        // of blocks, and these with those that fill the last registers up
+  float* rows = nullptr;           // (count * kBlock, kSkinRow) as points of the skin
+  float* spheres = nullptr;        // (4, rooms) middles and radii [m]
+  std::int32_t* listed = nullptr;  // (count * kBlock,) room
+};
+
 // Logarithm of how many times faster, or slower, a gate lets the oscillators of a sway network run at most.
 constexpr float kMostSpeedUp = 1.5f;
 
@@ -186,6 +194,11 @@ struct Kernels {
   // distance [m], normal, and in how far that holds, 0 to 1. False, and nothing written, where no skin is near.
   bool (*meet_skin)(const SkinBlocks& skin, const float* cloth, const std::int16_t* sides, const ContactRoom& room,
                     float* planes);
+
+  // Writes the spheres of blocks. Then, where one of these blocks is from those that it has a side for, as meet_skin;
+  // sides: (rooms,) 1 where they are beneath it, 2 where they lie over it, -1 where they press on it.
+  void (*bound_cloth)(const ClothBlocks& cloth);
+  bool (*meet_cloth)(const ClothBlocks& cloth, int block, const std::int16_t* sides, float* planes);
 
   // Over `elapsed` seconds, or, where that is negative, to where they come to rest. driven: (3, count) real and
   // imaginary parts of what drives them, and gates; readable for kGroup floats beyond.

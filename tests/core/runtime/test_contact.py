@@ -13,6 +13,7 @@ from physkin_core import BUNDLED_AVATAR, Draper, load_avatar, load_garment_model
 from physkin_core.model.garment import vertex_normals
 from physkin_core.native_module import native
 from physkin_core.quality import closest_points, edge_strain, signed_distance
+from physkin_core.runtime import contact
 from physkin_core.runtime.binding import bind_points
 from physkin_core.runtime.contact import _spread as spread
 from physkin_core.runtime.contact import meeting_skin
@@ -284,6 +285,72 @@ def test_a_body_whose_limbs_are_not_found_is_met(tshirt, monkeypatch):
     assert kept < free / 2, (kept, free)
 
 
+# --- Cloth and itself ---
+
+
+def block_of_cloth(at, facing):
+    """(16, 6) a sheet, 2 cm from sample to sample, at a place and across a unit normal along an axis."""
+    facing = np.array(facing, dtype=float)
+    sheet = 0.02 * np.stack(np.meshgrid(range(4), range(4)), axis=2).reshape(-1, 2)
+    places = np.insert(sheet, np.abs(facing).argmax(), 0, axis=1)
+    return np.concatenate([places + at, np.tile(facing, (16, 1))], axis=1)
+
+
+LEGS = contact.Parts(
+    *(np.array(of) for of in ([0], [-1, 0, 0, 1, 1], [False] * 5, [False, True, False] * 1 + [True, False]))
+)
+
+
+def skin_beneath(*blocks, part):
+    """Skin beneath such blocks, 1 cm off."""
+    cloth = np.concatenate(blocks)
+    points, none = cloth[:, :3] - 0.01 * cloth[:, 3:], np.zeros((len(cloth), 1))
+    return contact.Skin(points, cloth[:, 3:], none, none, np.repeat(part, 16))
+
+
+def test_legs_of_trousers_press_on_each_other_where_their_outsides_face():
+    """What faces away from the other leg is in no block."""
+    left, right = block_of_cloth((0, 0.1, 0), (0, -1, 0)), block_of_cloth((0, -0.1, 0), (0, 1, 0))
+    outer = block_of_cloth((0, 0.3, 0), (0, 1, 0))
+    cloth, skin = np.concatenate([left, right, outer]), skin_beneath(left, right, outer, part=[1, 3, 1])
+    found = contact._touching(cloth, np.arange(48)[:, None], skin, LEGS)
+    assert sorted(found["touching_samples"]) == list(range(32))
+    assert found["touching_sides"].tolist() == [[0, -1], [-1, 0]]
+
+
+def test_layers_of_the_cloth_keep_the_order_they_were_made_in():
+    """Over and beneath each other on one leg, and far from each other along the cloth."""
+    beneath, over = block_of_cloth((0, 0, 0), (0, 1, 0)), block_of_cloth((0, 0.005, 0), (0, 1, 0))
+    cloth, skin = np.concatenate([beneath, over]), skin_beneath(beneath, over, part=[1, 1])
+    found = contact._touching(cloth, np.arange(32)[:, None], skin, LEGS)
+    assert sorted(found["touching_samples"][:16]) == list(range(16, 32))
+    assert found["touching_sides"].tolist() == [[0, 1], [2, 0]]
+    assert contact._touching(cloth, np.zeros((32, 1), dtype=int), skin, LEGS) == {}
+
+
+def test_cloth_whose_outside_faces_the_body_is_turned_around():
+    """A collar's fall is; its stand, and a sleeve whose armpit faces the trunk, are not."""
+    neck = block_of_cloth((0, 0, 0), (0, 1, 0))
+    stand, fall = neck + [0, 0.01, 0, 0, 0, 0], block_of_cloth((0, 0.02, 0), (0, -1, 0))
+    skin = skin_beneath(neck, part=[0])
+    assert not contact._turned(stand, skin).any() and contact._turned(fall, skin).all()
+    arm = skin_beneath(neck, fall, part=[0, 1])
+    assert not contact._turned(fall, arm).any()
+
+
+def test_shipped_trousers_keep_their_legs_apart():
+    """In a walk, samples of one leg are half as deep in the cloth of the other, or less, all together."""
+    draper, motion = on_the_avatar(replace(model_of("trousers"), sway=None)), load_motion("walk")
+    bound, poses = draper.bound, np.float32(motion.positions_for(draper.model.rig))[::12]
+    frames = NativeFrame([bound]), NativeFrame([replace(bound, touching_gaps=np.full_like(bound.touching_gaps, -1))])
+    crossed = [0, 0]
+    for pose in poses:
+        for k, frame in enumerate(frames):
+            clouds(frame, [bound], pose, told())
+            crossed[k] += np.maximum(-frame.clearance()[len(bound.vertices) :], 0).sum()
+    assert crossed[1] > 0.05 and crossed[0] < crossed[1] / 2, crossed
+
+
 # --- Figures and symmetry ---
 
 
@@ -299,7 +366,8 @@ def test_clearance_is_how_far_samples_are_from_the_skin(frame, tshirt):
     (cloud,) = clouds(native, [bound], np.float32(pose), told(gravity))
     number = {vertex.tobytes(): k for k, vertex in enumerate(bound.vertices)}
     samples = [number[vertex.tobytes()] for vertex in bound.contact_vertices]
-    assert len(native.clearance()) == len(samples) + len(bound.between_gaps) == len(bound.vertices)
+    assert len(native.clearance()) - len(bound.touching_gaps) == len(bound.vertices)
+    assert len(samples) + len(bound.between_gaps) == len(bound.vertices)
     body = tshirt.avatar.posed_vertices(tshirt.bone_transforms(np.float32(pose)))
     distance = signed_distance(cloud[samples, :3], body, tshirt.avatar.faces)
     off = np.abs(native.clearance()[: len(samples)] - distance)[np.abs(distance) < 0.02]
