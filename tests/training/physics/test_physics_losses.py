@@ -205,6 +205,7 @@ def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), dis
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),
         band_distance=np.full(len(band), distance, dtype=np.float32),
+        inside_out=np.zeros(len(garment.vertices), dtype=bool),
     )
 
 

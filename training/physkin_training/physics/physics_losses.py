@@ -22,12 +22,13 @@ from physkin_training.energies.collision import Collision
 from physkin_training.energies.energy import Cloth, Drapes, Energy, view
 from physkin_training.energies.gravity import Gravity
 from physkin_training.energies.rest_data import RestData
+from physkin_training.energies.self_contact import SelfContact
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]
 
-TERMS = ("stretch", "bend", "collision", "gravity", "band")
+TERMS = ("stretch", "bend", "collision", "self_contact", "gravity", "band")
 """The energies, in the order of `Energies`."""
 
 
@@ -39,6 +40,7 @@ class Energies:
     stretch: torch.Tensor
     bend: torch.Tensor
     collision: torch.Tensor
+    self_contact: torch.Tensor
     gravity: torch.Tensor
     band: torch.Tensor
     signed_distance: torch.Tensor
@@ -64,8 +66,8 @@ def lightened(energy: torch.Tensor, heavy_energy: float) -> torch.Tensor:
 class PhysicsLosses:
     """Physics losses of one garment for a fixed number of samples on one device.
 
-    wearing: what of the body counts as contact, and the band; without it all of the body counts and nothing holds the
-    garment up. For training only, and by default none of them acts: contact force grows no more from a depth of
+    wearing: what of the body counts as contact, where the garment may touch itself, and the band; without it all of the
+    body counts, cloth passes through itself and nothing holds the garment up. For training only, and by default none of them acts: contact force grows no more from a depth of
     `linear_beyond` [m]; with `leads_back`, a vertex deep in the body whose hit does not count, as it is in another limb
     or on the wrong side, is pushed before the plane of the body face it is worn on; a sample's gradient is weighted by
     1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so that the few heaviest poses do not outweigh
@@ -99,7 +101,10 @@ class PhysicsLosses:
         self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
         self.stretch = Stretch(self.cloth)
-        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, Gravity(self.cloth), self.band]
+        touching, stiffness = wearing and wearing.touching, self.collision.stiffness
+        itself = SelfContact(self.cloth, touching, stiffness=stiffness, linear_beyond=linear_beyond)
+        gravity = Gravity(self.cloth)
+        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, itself, gravity, self.band]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(
@@ -136,7 +141,7 @@ class _PhysicsEnergy(torch.autograd.Function):
     def forward(ctx, x, losses, gravity, body, body_offset):
         energies, gradient = losses.evaluate(x, gravity, body, body_offset)
         if math.isfinite(losses.heavy_energy):
-            strained = energies["stretch"] + energies["bend"] + energies["collision"] + energies["band"]
+            strained = sum(energy for name, energy in energies.items() if name != "gravity")
             gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
         parts = tuple(energies.values())
