@@ -27,8 +27,8 @@ from physkin_training.sampling.mirrored_poses import mirrored
 
 __all__ = ["MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
 
-FAR = 0.1
-"""[m] along the cloth from which on a vertex feels a place."""
+FAR, FOLD = 0.06, 0.2
+"""[m] along the cloth from which on a vertex feels a place, and up to which both are sides of one fold."""
 SPACING = 0.025
 """[m] along the cloth from each vertex to the nearest place, at most."""
 NEAR = 0.03
@@ -39,6 +39,7 @@ MOST = 12
 """Places a vertex may meet: of more it keeps those that it is nearest to most often."""
 THROUGH = 0.005
 """[m] As it was made, cloth whose outsides face each other may be so far on the wrong side by mistake."""
+NEAR_ALONG = -2
 SMOOTHINGS = 10
 """Times that what moves a vertex is averaged with what moves its neighbours: cloth spans where skin parts."""
 
@@ -52,6 +53,7 @@ class TouchingPlaces:
 
     candidate: np.ndarray
     side: np.ndarray
+    middle: np.ndarray
     place: np.ndarray
     around_start: np.ndarray
     around: np.ndarray
@@ -74,16 +76,20 @@ class TouchingPlaces:
             score = score + csr_array((nearness, (vertex[keep], place[keep])), shape=score.shape)
         score = score.tocoo()
         vertex, place = score.coords
+        middle = places.middle[place, vertex]
         side = _sides(made, normals, outward, vertex, places.nearest_of_sheet(made, vertex, place))
+        side[middle >= 0] = 0
         order = np.lexsort((place, -score.data, vertex))
-        order = order[side[order] != 0]
-        vertex, place, side = vertex[order], place[order], side[order]
+        order = order[(side[order] != 0) | (middle[order] >= 0)]
+        vertex, place, side, middle = (each[order] for each in (vertex, place, side, middle))
         rank = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
         some = rank < MOST
         shape = (len(made), min(MOST, int(rank.max(initial=0)) + 1))
-        candidate, sides = np.full(shape, -1, dtype=np.int32), np.zeros(shape, dtype=np.int8)
-        candidate[vertex[some], rank[some]], sides[vertex[some], rank[some]] = place[some], side[some]
-        return cls(candidate, sides, places.vertex.astype(np.int32), *places.faces_around(garment.faces))
+        at = vertex[some], rank[some]
+        candidate, middles = np.full((2, *shape), -1, dtype=np.int32)
+        sides = np.zeros(shape, dtype=np.int8)
+        candidate[at], middles[at], sides[at] = place[some], middle[some], side[some]
+        return cls(candidate, sides, middles, places.vertex.astype(np.int32), *places.faces_around(garment.faces))
 
 
 class _Places:
@@ -91,28 +97,27 @@ class _Places:
     place the vertices of the cloth about it."""
 
     def __init__(self, garment: Garment) -> None:
-        self._n = n = len(garment.vertices)
-        graph = coo_array((garment.edge_lengths, garment.edges.T), shape=(n, n)).tocsr()
+        n, ends = len(garment.vertices), garment.edges.T
+        lengths = np.tile(garment.edge_lengths, 2), np.hstack([ends, ends[::-1]])
+        graph = coo_array(lengths, shape=(n, n)).tocsr()
         closest, self.owner = np.full(n, np.inf), np.zeros(n, dtype=int)
-        chosen, near, self.sheet = [], [], []
+        chosen, middles, self.sheet = [], [], []
         for vertex in range(n):
             if closest[vertex] > SPACING:
-                length = dijkstra(graph, directed=False, indices=vertex, limit=FAR)
+                length, before = dijkstra(graph, indices=vertex, limit=FOLD, return_predecessors=True)
                 mine = length < closest
                 closest[mine], self.owner[mine] = length[mine], len(chosen)
-                near.append(len(chosen) * n + np.flatnonzero(np.isfinite(length)))
+                middles.append(_middles(length, before))
                 self.sheet.append(np.flatnonzero(length < 2 * NEAR))
                 chosen.append(vertex)
-        self.vertex, self._near = np.array(chosen), np.concatenate(near)
+        self.vertex, self.middle = np.array(chosen), np.array(middles)
 
     def met_by(self, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices (k,), places (k,) far from them along the cloth, and their distances (k,) [m] in a shape (n, 3)."""
         tree = cKDTree(shape[self.vertex])
         pairs = cKDTree(shape).sparse_distance_matrix(tree, MEETS_WITHIN, output_type="ndarray")
-        key = pairs["j"] * self._n + pairs["i"]
-        at = np.minimum(np.searchsorted(self._near, key), len(self._near) - 1)
-        far = self._near[at] != key
-        return pairs["i"][far], pairs["j"][far], pairs["v"][far]
+        pairs = pairs[self.middle[pairs["j"], pairs["i"]] != NEAR_ALONG]
+        return pairs["i"], pairs["j"], pairs["v"]
 
     def nearest_of_sheet(self, made: np.ndarray, vertex: np.ndarray, place: np.ndarray) -> np.ndarray:
         """(k,) the vertex about each place (k,) that is closest to a vertex (k,) in a shape (n, 3)."""
@@ -130,6 +135,18 @@ class _Places:
         pairs = np.unique(place * len(faces) + face)
         start = np.searchsorted(pairs, np.arange(len(self.vertex) + 1) * len(faces))
         return start.astype(np.int32), (pairs % len(faces)).astype(np.int32)
+
+
+def _middles(length: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """(n,) int32 the vertex half of the way to each, on paths of lengths (n,) [m] along which `before` (n,) is the one
+    before each; -1 where none leads, `NEAR_ALONG` where that is not far."""
+    middle = np.full(len(length), -1, dtype=np.int32)
+    reached = np.flatnonzero(np.isfinite(length))
+    at = reached.copy()
+    while (beyond := length[at] > length[reached] / 2).any():
+        at[beyond] = before[at[beyond]]
+    middle[reached] = np.where(length[reached] < FAR, NEAR_ALONG, at)
+    return middle
 
 
 def moved_with_skin(

@@ -36,6 +36,7 @@ class Touching:
 
     candidate: wp.array2d(dtype=wp.int32)
     side: wp.array2d(dtype=wp.int8)
+    middle: wp.array2d(dtype=wp.int32)
     place: wp.array(dtype=wp.int32)
     around_start: wp.array(dtype=wp.int32)
     around: wp.array(dtype=wp.int32)
@@ -99,6 +100,7 @@ def self_contact_kernel(
     point = drapes.x[s, v]
     place = wp.int32(-1)
     side = wp.int32(0)
+    middle = wp.int32(-1)
     nearest = MEETS_WITHIN * MEETS_WITHIN
     for k in range(touching.candidate.shape[1]):
         candidate = touching.candidate[v, k]
@@ -109,6 +111,7 @@ def self_contact_kernel(
             nearest = squared
             place = candidate
             side = wp.int32(touching.side[v, k])
+            middle = touching.middle[v, k]
     if place < 0:
         return
     nearest = MEETS_WITHIN * MEETS_WITHIN
@@ -133,6 +136,10 @@ def self_contact_kernel(
     first = drapes.x[s, corners[0]]
     normal = wp.normalize(wp.cross(drapes.x[s, corners[1]] - first, drapes.x[s, corners[2]] - first))
     alike = wp.dot(normal, drapes.normals[s, v])
+    if side == 0:
+        side = 2
+        if wp.dot(0.5 * (point + first) - drapes.x[s, middle], drapes.normals[s, middle]) < 0.0:
+            side = -2
     if (wp.abs(side) == 2 and alike >= 0.0) or (wp.abs(side) == 3 and alike <= 0.0):
         return
     out = normal * wp.sign(wp.float32(side))
@@ -224,6 +231,7 @@ class SelfContact(Energy):
         if places is not None:
             self._touching.candidate = cloth.array(places.candidate)
             self._touching.side = cloth.array(places.side, wp.int8)
+            self._touching.middle = cloth.array(places.middle)
             self._touching.place = cloth.array(places.place)
             self._touching.around_start = cloth.array(places.around_start)
             self._touching.around = cloth.array(places.around)
