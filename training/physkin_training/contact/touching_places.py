@@ -27,19 +27,22 @@ from physkin_training.sampling.mirrored_poses import mirrored
 
 __all__ = ["MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
 
-FAR, FOLD = 0.06, 0.2
-"""[m] along the cloth from which on a vertex feels a place, and up to which both are sides of one fold."""
+FAR, CREASE, FOLD = 0.045, 0.09, 0.15
+"""[m] along the cloth from which on a vertex feels a place; up to which it may anywhere, as cloth creases where it likes;
+and up to which both are sides of one fold."""
 SPACING = 0.025
 """[m] along the cloth from each vertex to the nearest place, at most."""
 NEAR = 0.03
 """[m] at which cloth is near other cloth: as it was made it then lies on it, in everyday poses it may touch it."""
 MEETS_WITHIN = 0.04
 """[m] from a vertex to a place whose cloth is near it: the place itself may lie aside."""
-MOST = 12
-"""Places a vertex may meet: of more it keeps those that it is nearest to most often."""
+MOST = 32
+"""Places a vertex may meet: of more it keeps those that it is nearest to most often in everyday poses, and of those that
+only a crease brings together the ones that are nearest along the cloth."""
 THROUGH = 0.005
 """[m] As it was made, cloth whose outsides face each other may be so far on the wrong side by mistake."""
 NEAR_ALONG = -2
+LEAST = 1e-12
 SMOOTHINGS = 10
 """Times that what moves a vertex is averaged with what moves its neighbours: cloth spans where skin parts."""
 
@@ -64,7 +67,7 @@ class TouchingPlaces:
         places = _Places(garment)
         made, normals = garment.vertices, vertex_normals(garment.vertices, garment.faces)
         outward = np.where(inside_out, -1, 1)
-        score = coo_array((len(made), len(places.vertex))).tocsr()
+        score = places.of_creases
         for shape in shapes:
             vertex, place, distance = places.met_by(shape)
             faces_out = outward[:, None] * vertex_normals(shape, garment.faces)
@@ -72,7 +75,7 @@ class TouchingPlaces:
             opposed = np.einsum("ki,ki->k", faces_out[vertex], faces_out[at]) < 0
             beside = np.linalg.norm(made[vertex] - made[at], axis=1) < 2 * NEAR
             keep = opposed | beside
-            nearness = (MEETS_WITHIN - distance[keep]) ** 2 + 1e-12
+            nearness = (MEETS_WITHIN - distance[keep]) ** 2 + LEAST
             score = score + csr_array((nearness, (vertex[keep], place[keep])), shape=score.shape)
         score = score.tocoo()
         vertex, place = score.coords
@@ -93,24 +96,29 @@ class TouchingPlaces:
 
 
 class _Places:
-    """vertex: (P,) of each place. owner: (n,), the place that is nearest to each vertex along the cloth. sheet: of each
-    place the vertices of the cloth about it."""
+    """vertex: (P,) of each place. owner: (n,), the place that is nearest to each vertex along the cloth. middle: (P, n),
+    see `_middles`. sheet: of each place the vertices of the cloth about it. of_creases: (n, P) sparse, a score of places
+    that a crease may bring to each vertex."""
 
     def __init__(self, garment: Garment) -> None:
         n, ends = len(garment.vertices), garment.edges.T
         lengths = np.tile(garment.edge_lengths, 2), np.hstack([ends, ends[::-1]])
         graph = coo_array(lengths, shape=(n, n)).tocsr()
         closest, self.owner = np.full(n, np.inf), np.zeros(n, dtype=int)
-        chosen, middles, self.sheet = [], [], []
+        chosen, middles, self.sheet, creases = [], [], [], []
         for vertex in range(n):
             if closest[vertex] > SPACING:
                 length, before = dijkstra(graph, indices=vertex, limit=FOLD, return_predecessors=True)
                 mine = length < closest
                 closest[mine], self.owner[mine] = length[mine], len(chosen)
                 middles.append(_middles(length, before))
+                about = np.flatnonzero((length >= FAR) & (length < CREASE))
+                creases.append((np.full(len(about), len(chosen)), about, LEAST * (1 - length[about])))
                 self.sheet.append(np.flatnonzero(length < 2 * NEAR))
                 chosen.append(vertex)
         self.vertex, self.middle = np.array(chosen), np.array(middles)
+        place, vertex, score = map(np.concatenate, zip(*creases))
+        self.of_creases = csr_array((score, (vertex, place)), shape=self.middle.T.shape)
 
     def met_by(self, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices (k,), places (k,) far from them along the cloth, and their distances (k,) [m] in a shape (n, 3)."""

@@ -20,8 +20,11 @@ wp.set_module_options({"enable_backward": False})
 OFFSET = 0.002
 """[m] that vertices keep from faces. Edges and faces of 15 mm cut 0.6 mm off cloth that turns as sharply as a sleeve
 does, on both sides; the remainder is the cloth's own thickness."""
-DEEPEST = 0.03
-"""[m] A vertex farther through is of another sheet, which lies behind this one."""
+DEEPEST, DEEPEST_IN_FOLD = 0.03, 0.015
+"""[m] A vertex farther through is of another sheet, which lies behind this one; and of another fold. Folds of a few
+centimetres are no deeper."""
+IN_FOLD_WITHIN = 0.03
+"""[m] from a vertex to a place with which it may be in one fold: as `MEETS_WITHIN`, for such a depth."""
 SOFTNESS = 0.1
 """Stiffness relative to that of contact with the body. Where skin presses limbs into each other, cloth cannot keep
 outside of both it and other cloth; then skin counts. Cloth upon cloth weighs 2 N/m2, which sinks in 2 um so."""
@@ -112,7 +115,7 @@ def self_contact_kernel(
             place = candidate
             side = wp.int32(touching.side[v, k])
             middle = touching.middle[v, k]
-    if place < 0:
+    if place < 0 or (middle >= 0 and nearest > IN_FOLD_WITHIN * IN_FOLD_WITHIN):
         return
     nearest = MEETS_WITHIN * MEETS_WITHIN
     face = wp.int32(-1)
@@ -151,7 +154,8 @@ def self_contact_kernel(
         distance = distance * wp.sign(over)
         out = gap / distance
     depth = OFFSET - distance
-    if depth <= 0.0 or depth > DEEPEST:
+    deepest = wp.where(middle >= 0, DEEPEST_IN_FOLD, DEEPEST)
+    if depth <= 0.0 or depth > deepest:
         return
     k_area = SOFTNESS * stiffness[0] * rest.vertex_area[rest.row[s], v]
     bounded = wp.min(depth, linear_beyond)
