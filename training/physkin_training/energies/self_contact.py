@@ -6,6 +6,8 @@ The second derivative treats the face as a plane, and is positive semidefinite; 
 the drape, so that what is beside the diagonal is multiplied without blocks.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
@@ -256,6 +258,19 @@ class SelfContact(Energy):
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
         self._launch(diagonal_kernel, self._touching, self._contacts, self._kept, blocks)
+
+    def forecast(self) -> Callable[[torch.Tensor], torch.Tensor]:
+        """As of `Collision.forecast`, where the force grows on."""
+        values, (face, share, out, curvature) = self.values.clone(), (tensor.clone() for tensor in self.state)
+        slope = (2 * curvature * values).sqrt()
+        corners = torch.as_tensor(self.cloth.garment.faces, dtype=torch.int64, device=face.device)[face.long()]
+        sample = torch.arange(len(face), device=face.device)[:, None, None]
+
+        def after(step: torch.Tensor) -> torch.Tensor:
+            along = (out * (step - (share[..., None] * step[sample, corners]).sum(dim=2))).sum(dim=2)
+            return values + (0.5 * curvature * along - slope) * along
+
+        return after
 
     def add_coupling(self, active: wp.array, x: wp.array, product: wp.array) -> None:
         self._launch(coupling_kernel, self._touching, self._kept, active, x, product)

@@ -102,9 +102,9 @@ class PhysicsLosses:
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
         self.stretch = Stretch(self.cloth)
         touching, stiffness = wearing and wearing.touching, self.collision.stiffness
-        itself = SelfContact(self.cloth, touching, stiffness=stiffness, linear_beyond=linear_beyond)
-        gravity = Gravity(self.cloth)
-        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, itself, gravity, self.band]
+        self.self_contact = SelfContact(self.cloth, touching, stiffness=stiffness, linear_beyond=linear_beyond)
+        first, last = (self.stretch, self.bend, self.collision, self.self_contact), (Gravity(self.cloth), self.band)
+        self.energies: list[Energy] = [*first, *last]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(
