@@ -67,11 +67,11 @@ class PhysicsLosses:
     """Physics losses of one garment for a fixed number of samples on one device.
 
     wearing: what of the body counts as contact, where the garment may touch itself, and the band; without it all of the
-    body counts, cloth passes through itself and nothing holds the garment up. For training only, and by default none of them acts: contact force grows no more from a depth of
-    `linear_beyond` [m]; with `leads_back`, a vertex deep in the body whose hit does not count, as it is in another limb
-    or on the wrong side, is pushed before the plane of the body face it is worn on; a sample's gradient is weighted by
-    1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so that the few heaviest poses do not outweigh
-    all others.
+    body counts, cloth passes through itself and nothing holds the garment up. For training only, and by default none of
+    them acts: contact force grows no more from a depth of `linear_beyond` [m]; with `leads_back`, a vertex deep in the
+    body whose hit does not count, as it is in another limb or on the wrong side, is pushed before the plane of the body
+    face it is worn on; a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J] without
+    gravity, so that the few heaviest poses do not outweigh all others.
     rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has,
     the first one until it is changed in place. `energies`: all that count, in order. A schedule may change how far and
     how hard the body presses, `collision.reach` and `collision.stiffness`, and how stiffly cloth bends, `bend.stiffer`.
