@@ -43,9 +43,10 @@ class TouchingPlaces:
     each. around_start: (P + 1,) int32 into around, the faces of what is nearest to a place along the cloth.
 
     side: (n, K) int8, where a vertex stays: 1 where the place's normal points, -1 behind. It is the side on which it
-    lay if the garment was made so, as with a placket. Cloth that was made apart meets with its outsides, as sleeve and side
-    do: this is times 2, or 3 where one is turned inside out, and counts only while normals oppose each other, or agree.
-    In a fold, `IN_FOLD`, outsides or insides meet as the cloth is turned at middle (n, K) int32, a vertex between both.
+    lay if the garment was made so, as with a placket. Cloth that was made apart meets with its outsides, as sleeve and
+    side do: this is times 2, or 3 where one is turned inside out, and counts only while normals oppose each other, or
+    agree. In a fold, `IN_FOLD`, outsides or insides meet as the cloth is turned at middle (n, K) int32, a vertex
+    between both.
     """
 
     candidate: np.ndarray
