@@ -45,7 +45,14 @@ class CrumpledTube:
         self.body = wp.Mesh(wp.array(points, dtype=wp.vec3, device="cpu"), corners)
         wearing = Wearing(
             *(FACES, np.zeros(2, np.int32), np.full((n, 1), worn), np.zeros((n, 1), bool), np.zeros(1, bool)),
-            *(np.zeros(n, np.int32), np.full(n, -1), np.arange(3), np.arange(3), np.zeros(3, np.float32)),
+            *(
+                np.zeros(n, np.int32),
+                np.full(n, -1),
+                np.arange(3),
+                np.arange(3),
+                np.zeros(3, np.float32),
+                np.zeros(n, bool),
+            ),
         )
         material = Material(bending=1e-3, contact_stiffness=1e5, rest_angles="as_made")
         shapes = np.stack([self.garment.vertices, self.garment.vertices * [1.2, 0.9, 1.1]])

@@ -309,7 +309,8 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert table(scores).strip() in capsys.readouterr().out
     lines = {row[0]: row for row in rows_of(table(scores))}
     assert len(lines) == len(rows) + 4 + len(on_subset) + len(("model", "skinning", "tilted")) + 4 + len(on_subset)
-    assert f"{of_measured_motion['model']['skin_seen_percent']:.3f}" in lines["the model, motion, made to measure"]
+    for seen in ("skin_seen_percent", "in_itself_percent"):
+        assert f"{of_measured_motion['model'][seen]:.3f}" in lines["the model, motion, made to measure"]
     assert "full-space minimum, subset of motion" in lines and "the model, jump, made to measure" in lines
     assert f"model / full-space minimum: {scores['energy_ratio']:.2f} (2 pairs)" in table(scores)
     assert f"{scores['tilted']['edge_strain_percent']:.3f}" in table(scores)

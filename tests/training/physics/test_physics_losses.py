@@ -205,6 +205,7 @@ def worn_on(garment, body, *, worn: bool, other_limb: bool = False, band=(), dis
         band=band,
         band_place=np.arange(len(band), dtype=np.int32),
         band_distance=np.full(len(band), distance, dtype=np.float32),
+        inside_out=np.zeros(len(garment.vertices), dtype=bool),
     )
 
 
@@ -225,6 +226,16 @@ def test_deep_contact_counts_only_with_parts_a_vertex_is_worn_on(scene):
             assert strange.collision.max() < 0.01 * mine.collision.min()
         else:
             assert torch.equal(strange.collision, mine.collision)
+
+
+def test_deep_contact_counts_for_cloth_whose_inside_is_out(scene):
+    """Such cloth has its normals the other way round, and is then pushed as other cloth is."""
+    garment, body, *_ = scene
+    turned = garment.vertices * np.array([0.7, 0.7, 1.0]) * np.array([-1.0, 1.0, 1.0])
+    wearing = worn_on(garment, body, worn=True)
+    assert run(scene, alike(turned), wearing=wearing)[0].collision.max() == 0
+    wearing = replace(wearing, inside_out=~wearing.inside_out)
+    assert run(scene, alike(turned), wearing=wearing)[0].collision.min() > 0
 
 
 def test_another_limb_presses_only_towards_where_the_cloth_is_worn(scene):

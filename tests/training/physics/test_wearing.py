@@ -16,6 +16,8 @@ from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, load_garment
 from physkin_core.model.garment_model import Material
+from physkin_core.model.surface_paths import path_lengths
+from physkin_training.contact.touching_places import FAR, TouchingPlaces
 from physkin_training.contact.wearing import BAND_WIDTH, WORN_WITHIN, Wearing
 from physkin_training.energies.band import BAND_SLACK
 from physkin_training.evaluate.plain_model import plain_model
@@ -52,6 +54,52 @@ def test_the_band_is_the_neckline_or_the_waistline(name, lowest, highest):
     np.testing.assert_allclose(worn.band_distance, distance, atol=1e-6)
     nearest = np.linalg.norm(SURFACE[None] - band[::20, None], axis=2).min(axis=1)
     np.testing.assert_allclose(distance[::20], nearest, atol=1e-6)
+
+
+def limb_of(garment: Garment) -> np.ndarray:
+    """(n,) -1 on an arm or leg of the right, 1 on one of the left, 0 on the trunk: where the closest skin is."""
+    strongest = BODY.influence_bones[np.arange(len(SURFACE)), BODY.influence_weights.argmax(axis=1)]
+    side = np.array([(".L" in name) - (".R" in name) for name in BONES])
+    limbs = np.array([any(part in name for part in ("arm", "leg", "hand", "foot")) for name in BONES])
+    return (side * limbs)[strongest[cKDTree(SURFACE).query(garment.vertices)[1]]]
+
+
+@pytest.mark.parametrize(
+    "name, meets", [("tshirt", [(-1, 0), (0, -1), (1, 0), (0, 1)]), ("trousers", [(-1, 1), (1, -1)])]
+)
+def test_sleeves_may_touch_the_sides_and_one_leg_the_other(name, meets):
+    """Both ways, where their outsides meet; no vertex may touch what is beside it."""
+    garment, worn = wearing(name)
+    touching, limb = worn.touching, limb_of(garment)
+    vertex, rank = np.nonzero(touching.candidate >= 0)
+    place = touching.place[touching.candidate[vertex, rank]]
+    outsides = (touching.side[vertex, rank] == 2) | (touching.middle[vertex, rank] >= 0)
+    for one, other in meets:
+        assert len(np.unique(vertex[(limb[vertex] == one) & (limb[place] == other) & outsides])) > 100
+    for some in range(0, len(garment.vertices), 500):
+        assert (path_lengths(garment.vertices, garment.faces, [some])[place[vertex == some]] > 0.95 * FAR).all()
+    again = Wearing.of(garment, BODY).touching
+    for one, other in zip(vars(touching).values(), vars(again).values()):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_no_cloth_of_the_shipped_garments_is_turned_inside_out(monkeypatch):
+    monkeypatch.setattr(TouchingPlaces, "find", lambda *_: None)
+    for path in sorted(GARMENTS.glob("*.obj")):
+        assert not Wearing.of(load_garment(path), BODY).inside_out.any(), path.stem
+
+
+def test_the_fall_of_a_collar_is_turned_inside_out():
+    """A band about the waist whose upper half is turned down over the lower one: its outside faces the body."""
+    band = tube(rings=11, segments=60, radius=1.0, height=0.2)
+    ring = np.arange(len(band.vertices)) // 60
+    height, wider = 0.1 + 0.01 * np.minimum(ring, 10 - ring), np.where(ring > 5, 0.012, 0.0)
+    away = np.array([0.13, 0.17]) + wider[:, None]
+    garment = Garment(np.column_stack([band.vertices[:, :2] * away, height]), band.faces)
+    worn = Wearing.of(garment, BODY)
+    near = cKDTree(SURFACE).query(garment.vertices)[0] < 0.03
+    assert worn.inside_out[near & (ring > 6)].all() and not worn.inside_out[ring < 5].any()
+    assert (near & (ring > 6)).sum() > 60
 
 
 def test_the_higher_of_two_openings_counts():

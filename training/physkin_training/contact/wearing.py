@@ -1,14 +1,18 @@
-"""How a garment is worn: which body parts each vertex lies on, and the band along a rim that holds it up.
+"""How a garment is worn: which body parts each vertex lies on, where it may touch itself, and the band along a rim that
+holds it up.
 
-Both are read off a body at the canonical pose, the garment maker's as a rule; other bodies share its mesh.
+All are read off a body at the canonical pose, the garment maker's as a rule; other bodies share its mesh.
 Dimensions: `n` garment vertices, `b` bones, `f` contact faces, `k` band vertices. Metres.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
@@ -18,6 +22,8 @@ from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
 from physkin_core.rig.rig import Rig
 from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
+from physkin_training.contact.touching_places import TouchingPlaces, moved_with_skin
+from physkin_training.sampling.chosen_bodies import bodies_by_girth
 
 __all__ = ["TO_THE_HEM", "Wearing", "holding_rim"]
 
@@ -38,6 +44,11 @@ GOES_AROUND = 0.3
 """An opening goes around the bone that is closest to its centre if that is at most this share of its radius away."""
 FACES_ACROSS = 0.03
 """A limb has a far side where a face of the same part is this close [m] to the near one reflected in the bone."""
+TURNED_WITHIN, TURNED, LEAST_TURNED = 0.04, -0.3, 30e-4
+"""Cloth is turned inside out, as the fall of a collar is, where it is so near its place on the body [m] and the cosine
+between both normals is below this; less of it in one piece than this [m2] is a fold."""
+POSED_BODIES = 32
+"""Training bodies of which the leanest and the stoutest show where a garment may touch itself."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the rim that holds the garment make up the band."""
 TO_THE_HEM, COLLAR = 0.4, 0.1
@@ -63,7 +74,8 @@ class Wearing:
     farther is worn on it. own_face: (n,) int32, of the `faces` of worn parts the one whose centre is closest. far_face:
     (n,) int32, of cloth in a sleeve or a trouser leg the face across the limb from that, elsewhere -1. band: (k,) int32
     vertices of the neckband or waistband, or on the shoulders; band_place: (k,) int32 the body vertex closest to each,
-    band_distance: (k,) float32 [m] away.
+    band_distance: (k,) float32 [m] away. inside_out: (n,) bool, the outside of this cloth faces the body. touching:
+    where cloth may touch itself; None: it passes through itself.
     """
 
     faces: np.ndarray
@@ -76,22 +88,30 @@ class Wearing:
     band: np.ndarray
     band_place: np.ndarray
     band_distance: np.ndarray
+    inside_out: np.ndarray
+    touching: TouchingPlaces | None = None
 
     @classmethod
     def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
         """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
-        return cls.on(garment, avatar_from_body(body_model, body_model.garment_body), body_model.rig)
+        some = body_model.train_bodies[:POSED_BODIES]
+        chosen = some[bodies_by_girth(body_model, min(2, len(some)), of=some)]
+        made_on, *bodies = (avatar_from_body(body_model, body) for body in (body_model.garment_body, *chosen))
+        return cls.on(garment, made_on, body_model.rig, bodies=bodies)
 
     @classmethod
-    def on(cls, garment: Garment, avatar: Avatar, rig: Rig) -> Wearing:
-        """Read off a body in the canonical pose of `rig`. Raises ValueError for a garment without an opening."""
+    def on(cls, garment: Garment, avatar: Avatar, rig: Rig, *, bodies: Sequence[Avatar] = ()) -> Wearing:
+        """Read off a body in the canonical pose of `rig`. bodies: others of its mesh that show where the garment may
+        touch itself; by default it does. Raises ValueError for a garment without an opening."""
         body, faces = avatar.vertices, avatar.faces
         vertex_bone = avatar.influence_bones[np.arange(len(body)), avatar.influence_weights.argmax(axis=1)]
         corner_bones = vertex_bone[faces]
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
         distance = np.full((len(garment.vertices), rig.bone_count), np.inf)
         outwards = np.full(distance.shape, -np.inf)
-        normals = vertex_normals(garment.vertices, garment.faces)
+        near_skin = cKDTree(body[faces].mean(axis=1)).query(garment.vertices)[1]
+        inside_out = _inside_out(garment, body[faces[near_skin]])
+        normals = vertex_normals(garment.vertices, garment.faces) * np.where(inside_out, -1, 1)[:, None]
         for bone in np.unique(vertex_bone):
             part = body[vertex_bone == bone]
             distance[:, bone], closest = cKDTree(part).query(garment.vertices)
@@ -114,6 +134,7 @@ class Wearing:
         own = near[cKDTree(body[faces[near]].mean(axis=1)).query(garment.vertices)[1]]
         sleeved = (np.isin(limbs, [limbs[bone] for bone, _ in left_by]) & ~bare)[face_bone[own]]
         sleeved[free] = False
+        shapes = moved_with_skin(garment, faces[own, 0], avatar, bodies or [avatar], rig)
         return cls(
             faces=faces,
             face_bone=face_bone.astype(np.int32),
@@ -125,6 +146,8 @@ class Wearing:
             band=band.astype(np.int32),
             band_place=place.astype(np.int32),
             band_distance=gap.astype(np.float32),
+            inside_out=inside_out,
+            touching=TouchingPlaces.find(garment, shapes, inside_out),
         )
 
     def worn_faces(self) -> Wearing:
@@ -154,6 +177,19 @@ def _band(garment: Garment, avatar: Avatar, rig: Rig) -> np.ndarray:
             return np.flatnonzero(near)
     distance, _ = cKDTree(garment.vertices[rim]).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
     return np.flatnonzero(np.isfinite(distance))
+
+
+def _inside_out(garment: Garment, skin: np.ndarray) -> np.ndarray:
+    """(n,) bool, see `Wearing`. skin: (n, 3, 3) corners of the face of the body that is closest to each vertex."""
+    outward = np.cross(skin[:, 1] - skin[:, 0], skin[:, 2] - skin[:, 0])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True).clip(1e-20)
+    facing = np.einsum("ni,ni->n", outward, vertex_normals(garment.vertices, garment.faces))
+    near = np.linalg.norm(garment.vertices - skin.mean(axis=1), axis=1) < TURNED_WITHIN
+    turned = near & (facing < TURNED)
+    ends = garment.edges[turned[garment.edges].all(axis=1)].T
+    graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(turned), len(turned)))
+    piece = connected_components(graph, directed=False)[1]
+    return turned & (np.bincount(piece, weights=garment.vertex_areas)[piece] >= LEAST_TURNED)
 
 
 def _hung_around(

@@ -47,6 +47,7 @@ def collision_kernel(
     other_limb: wp.array2d(dtype=wp.bool),
     own_face: wp.array(dtype=wp.int32),
     far_face: wp.array(dtype=wp.int32),
+    inside_out: wp.array(dtype=wp.bool),
     leads_back: wp.bool,
     energy: wp.array2d(dtype=wp.float32),
     slope: wp.array2d(dtype=wp.float32),
@@ -56,8 +57,9 @@ def collision_kernel(
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
     """One vertex of one sample. own_face: face of the body that each vertex lies on, far_face: the one across the limb,
-    or -1. A bone of `other_limb` presses cloth only towards it, so that cloth which came out on the limb's far side is
-    not held there; leads_back: a vertex lost inside the body, or beyond its limb, is pushed before it."""
+    or -1. inside_out: its normal points into the body. A bone of `other_limb` presses cloth only towards it, so that
+    cloth which came out on the limb's far side is not held there; leads_back: a vertex lost inside the body, or beyond
+    its limb, is pushed before it."""
     s, v = wp.tid()
     body = drapes.body
     point = drapes.x[s, v] + drapes.offset[s]
@@ -89,7 +91,10 @@ def collision_kernel(
         depth = contact_offset - distance
         if depth > 0.0:
             outward = wp.mesh_eval_face_normal(body, hit.face)
-            if depth < DEEP or (mine and wp.dot(outward, drapes.normals[s, v]) >= 0.0):
+            alike = wp.dot(outward, drapes.normals[s, v])
+            if inside_out[v]:
+                alike = -alike
+            if depth < DEEP or (mine and alike >= 0.0):
                 if other_limb[v, part] and wp.dot(outward, centre_of(body, own) - closest) <= 0.0:
                     depth = 0.0
                 if gap > 1.0e-6:
@@ -137,6 +142,7 @@ class Collision(Energy):
             cloth.array(~everywhere if wearing is None else wearing.other_limb, wp.bool),
             cloth.array(np.zeros(n) if wearing is None else wearing.own_face),
             cloth.array(np.full(n, -1) if wearing is None else wearing.far_face),
+            cloth.array(np.zeros(n) if wearing is None else wearing.inside_out, wp.bool),
             leads_back and wearing is not None,
         )
         self._stiffness = wp.from_torch(self.stiffness)

@@ -123,6 +123,10 @@ class Energy:
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:
         """At drapes that it was evaluated at last. None for a linear energy."""
 
+    def add_coupling(self, active: wp.array, x: wp.array, product: wp.array) -> None:
+        """Add the second derivative that was added last to a product with x (B, n), as far as it couples vertices that
+        `elements` do not, in samples `active` (B,). For all but self-contact there is none."""
+
     def _launch(self, kernel: wp.Kernel, *arguments: object) -> None:
         """Run a kernel for every element of every sample."""
         wp.launch(kernel, dim=self.values.shape, inputs=arguments, device=wp.device_from_torch(self.cloth.device))

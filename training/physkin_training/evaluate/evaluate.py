@@ -23,6 +23,7 @@ from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_core.runtime.garment_on_body import checked_fit
+from physkin_training.contact.surface_queries import piercing_edges
 from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.rest_data import RestData
 from physkin_training.evaluate.figures import Figures
@@ -44,8 +45,9 @@ LARGEST_MEASURED, LARGEST_MINIMISED = 512, 64
 """Batches on a GPU: of pairs that are measured, and minimised."""
 MINIMUM_COST = 500
 """How many measured pairs take about as long as one that is minimised."""
-LOOKED_AT = 32
-"""Pairs that cameras look at, spread over all: some tenths of a second each."""
+LOOKED_AT, CROSSED = 32, 128
+"""Pairs that cameras look at, and that are searched for cloth in itself, spread over all: some tenths of a second each,
+and some hundredths."""
 MOTION_RATE = 60.0
 """Frames a second at which motion is measured; clips of another rate are resampled."""
 
@@ -199,15 +201,28 @@ class Evaluation:
         made_on = self._body_model.vertices(self._body_model.garment_body)
         cover = who_covers(*surfaces(made_on, garment.vertices))
         shows = pixels = 0
-        for batch in self.batches(pairs.spread(LOOKED_AT)):
+        for body, cloth in self._own_drapes(pairs.spread(LOOKED_AT)):
+            figure = Figure(surfaces(body, cloth), Cameras(cloth))
+            shown = what_shows(figure, {(0, 1): cover})[0, 1]
+            shows, pixels = shows + shown.shows, pixels + shown.pixels
+        return {"skin_seen_percent": 100 * shows / max(pixels, 1)}
+
+    def in_itself(self, pairs: Pairs) -> dict[str, float]:
+        """`in_itself_percent` of the model's drapes of some of the pairs: vertices with an edge through the garment's
+        own cloth."""
+        garment, crossed, spread = self.model.garment, 0, pairs.spread(CROSSED)
+        for _, cloth in self._own_drapes(spread):
+            through = garment.edges[piercing_edges(cloth, garment.faces, garment.edges)]
+            crossed += len(np.unique(through))
+        return {"in_itself_percent": 100 * crossed / (len(spread) * len(garment.vertices))}
+
+    def _own_drapes(self, pairs: Pairs) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The body (V, 3) and the model's drape (n, 3) of each pair."""
+        for batch in self.batches(pairs):
             bodies = self.posed_bodies.vertices[: batch.count].cpu().numpy()
             with torch.no_grad():
                 drapes = self.own_drape(batch)[: batch.count].cpu().numpy()
-            for body, cloth in zip(bodies, drapes):
-                figure = Figure(surfaces(body, cloth), Cameras(cloth))
-                shown = what_shows(figure, {(0, 1): cover})[0, 1]
-                shows, pixels = shows + shown.shows, pixels + shown.pixels
-        return {"skin_seen_percent": 100 * shows / max(pixels, 1)}
+            yield from zip(bodies, drapes)
 
     def _rows(self, pairs: Pairs, only: Collection[str], *, motion: bool = False) -> dict[str, Figures]:
         drapes = {name: self._fewer if name == "fewer_influences" else self.drape for name in only}
@@ -349,12 +364,12 @@ def evaluate_model(
     if clips:
         every_frame = Pairs.joined([fitted.frames(clip) for clip in clips])
         made["motion"] = fitted.motion(clips)
-        made["motion"]["model"] |= fitted.skin_seen(every_frame)
+        made["motion"]["model"] |= fitted.skin_seen(every_frame) | fitted.in_itself(every_frame)
     scores["made_to_measure"] = made
     scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
     if clips:
         scores["motion"] = evaluation.motion(clips)
-        scores["motion"]["model"] |= evaluation.skin_seen(every_frame)
+        scores["motion"]["model"] |= evaluation.skin_seen(every_frame) | evaluation.in_itself(every_frame)
     if minimum:
         given["batch"] = min(batch, LARGEST_MINIMISED)
         evaluation = Evaluation(model, device, **given, fit=0.0)

@@ -17,6 +17,7 @@ COLUMNS = {
     "inside_percent": "inside %",
     "inside_worn_percent": "inside worn parts %",
     "skin_seen_percent": "skin seen %",
+    "in_itself_percent": "cloth in itself %",
     "within_3mm_percent": "< 3 mm %",
     "max_depth_p999_mm": "depth p99.9 mm",
     "max_depth_mm": "deepest mm",

@@ -128,6 +128,8 @@ class EnergyHessian:
             outputs=[view(product)],
             device=self.device,
         )
+        for energy in self.losses.energies:
+            energy.add_coupling(self._active, view(x), view(product))
 
     def precondition(self, x: torch.Tensor) -> torch.Tensor:
         """Inverse of the diagonal blocks times x (B, n, 3)."""

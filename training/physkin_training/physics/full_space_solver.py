@@ -104,7 +104,10 @@ class FullSpaceSolver(NewtonSolver):
     def assemble(self) -> None:
         self.hessian.assemble(self._exact)
         self.hessian.add_to_diagonal(self._secants.blocks, self._damping)
-        self._contact_after = self.losses.collision.forecast()
+        self._contacts = [self.losses.collision]
+        if self.losses.self_contact.values.numel():
+            self._contacts.append(self.losses.self_contact)
+        self._contacts_after = [contact.forecast() for contact in self._contacts]
 
     def search(self, here: Point, active: torch.Tensor) -> Point:
         there, share, bent = self._lower(here, active)
@@ -153,7 +156,8 @@ class FullSpaceSolver(NewtonSolver):
         step = there.vertices - here.vertices
         foreseen = torch.zeros_like(step)
         self.hessian.multiply(step, foreseen)
-        return Trial(there.vertices, there.gradient, foreseen, self.losses.collision.values - self._contact_after(step))
+        excess = sum(each.values - after(step) for each, after in zip(self._contacts, self._contacts_after))
+        return Trial(there.vertices, there.gradient, foreseen, excess)
 
     def _norm(self, here: Point) -> torch.Tensor:
         return norm(self._secants.least_gradient(here.vertices, here.gradient))

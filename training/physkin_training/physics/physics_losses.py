@@ -23,12 +23,13 @@ from physkin_training.energies.energy import Cloth, Drapes, Energy, view
 from physkin_training.energies.gravity import Gravity
 from physkin_training.energies.rest_data import RestData
 from physkin_training.energies.seams import Threads
+from physkin_training.energies.self_contact import SelfContact
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp
 
 __all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]
 
-TERMS = ("stretch", "bend", "collision", "gravity", "band", "threads")
+TERMS = ("stretch", "bend", "collision", "self_contact", "gravity", "band", "threads")
 """The energies, in the order of `Energies`."""
 
 
@@ -40,6 +41,7 @@ class Energies:
     stretch: torch.Tensor
     bend: torch.Tensor
     collision: torch.Tensor
+    self_contact: torch.Tensor
     gravity: torch.Tensor
     band: torch.Tensor
     threads: torch.Tensor
@@ -66,12 +68,12 @@ def lightened(energy: torch.Tensor, heavy_energy: float) -> torch.Tensor:
 class PhysicsLosses:
     """Physics losses of one garment for a fixed number of samples on one device.
 
-    wearing: what of the body counts as contact, and the band; without it all of the body counts and nothing holds the
-    garment up. For training only, and by default none of them acts: contact force grows no more from a depth of
-    `linear_beyond` [m]; with `leads_back`, a vertex deep in the body whose hit does not count, as it is in another limb
-    or on the wrong side, is pushed before the plane of the body face it is worn on; a sample's gradient is weighted by
-    1 / sqrt(1 + E / heavy_energy) of its energy E [J] without gravity, so that the few heaviest poses do not outweigh
-    all others.
+    wearing: what of the body counts as contact, where the garment may touch itself, and the band; without it all of the
+    body counts, cloth passes through itself and nothing holds the garment up. For training only, and by default none of
+    them acts: contact force grows no more from a depth of `linear_beyond` [m]; with `leads_back`, a vertex deep in the
+    body whose hit does not count, as it is in another limb or on the wrong side, is pushed before the plane of the body
+    face it is worn on; a sample's gradient is weighted by 1 / sqrt(1 + E / heavy_energy) of its energy E [J] without
+    gravity, so that the few heaviest poses do not outweigh all others.
     rest: the garment's rest shapes, default its own alone; `rest_row` (B,) int32 says which of them each sample has,
     the first one until it is changed in place. `energies`: all that count, in order. A schedule may change how far and
     how hard the body presses, `collision.reach` and `collision.stiffness`, and how stiffly cloth bends, `bend.stiffer`.
@@ -101,8 +103,10 @@ class PhysicsLosses:
         self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
         self.stretch = Stretch(self.cloth)
-        held = self.band, Threads(self.cloth)
-        self.energies: list[Energy] = [self.stretch, self.bend, self.collision, Gravity(self.cloth), *held]
+        touching, stiffness = wearing and wearing.touching, self.collision.stiffness
+        self.self_contact = SelfContact(self.cloth, touching, stiffness=stiffness, linear_beyond=linear_beyond)
+        felt = self.stretch, self.bend, self.collision, self.self_contact
+        self.energies: list[Energy] = [*felt, Gravity(self.cloth), self.band, Threads(self.cloth)]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)
 
     def __call__(

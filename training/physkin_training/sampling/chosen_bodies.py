@@ -1,4 +1,4 @@
-"""Which held-out bodies stand for all of them: from the leanest to the stoutest."""
+"""Which bodies stand for all of them: from the leanest to the stoutest."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from physkin_core.avatar.body_model import BodyModel
 __all__ = ["bodies_by_girth"]
 
 
-def bodies_by_girth(body_model: BodyModel, count: int) -> list[int]:
-    """Indices of `count` held-out bodies, evenly spread by volume for their squared height: the first has the
-    least, the last the most; of one, the median. Raises ValueError where there are not so many."""
-    held_out = body_model.held_out_bodies
-    if not 1 <= count <= len(held_out):
-        raise ValueError(f"bodies must be 1 to {len(held_out)}, got {count}")
+def bodies_by_girth(body_model: BodyModel, count: int, *, of: np.ndarray | None = None) -> list[int]:
+    """Indices of `count` bodies, default of held-out ones, evenly spread by volume for their squared height: the first
+    has the least, the last the most; of one, the median. of: (S, c) shape coefficients. Raises ValueError where there
+    are not so many."""
+    bodies = body_model.held_out_bodies if of is None else of
+    if not 1 <= count <= len(bodies):
+        raise ValueError(f"bodies must be 1 to {len(bodies)}, got {count}")
     index = []
-    for coefficients in held_out:
+    for coefficients in bodies:
         vertices = body_model.vertices(coefficients).astype(np.float64)
         a, b, c = vertices[body_model.faces].transpose(1, 0, 2)
         index.append((a * np.cross(b, c)).sum() / 6 / np.ptp(vertices[:, 2]) ** 2)
