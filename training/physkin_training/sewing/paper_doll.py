@@ -20,6 +20,8 @@ __all__ = ["Arms", "paper_doll"]
 THIN, FLAT = 0.4, 0.1
 """What is left in the paper doll of the distance from the bones to the skin, and of the bones' distance in front of or
 behind the root."""
+FAR_END = 0.2
+"""Share of a sleeve's vertices, those farthest from the shoulder, in whose middle the arm is to be."""
 HIGHEST_ARMS = np.radians(60.0)
 """While sleeves are sewn to the body, they turn upwards as they are as stiff as cardboard. Arms follow up to this."""
 
@@ -44,26 +46,38 @@ class Arms:
 
     def __init__(self, avatar: Avatar, rig: Rig) -> None:
         self._sides = []
-        for first in (limb.ends[0] for limb in find_limbs(rig).limbs if limb.is_arm):
-            arm = rig.inherited({first: 1}, 0) == 1
-            share = (arm[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
-            joint = avatar.bone_heads[first]
-            self._sides.append((share, joint, 1.0 if joint[1] > 0 else -1.0))
+        for first, _, last in (limb.ends for limb in find_limbs(rig).limbs if limb.is_arm):
+            arm, hand = (rig.inherited({bone: 1}, 0) == 1 for bone in (first, last))
+            of_arm, of_hand = (
+                (bones[avatar.influence_bones] * avatar.influence_weights).sum(axis=1, keepdims=True)
+                for bones in (arm, hand)
+            )
+            shoulder, wrist = avatar.bone_heads[[first, last]].astype(float)
+            self._sides.append((of_arm, of_hand, shoulder, wrist, 1.0 if shoulder[1] > 0 else -1.0))
         self.angles = np.zeros(len(self._sides))
 
     def follow(self, cut: Cut, hung: np.ndarray, closed: np.ndarray) -> None:
-        """Be raised as far as sleeves have turned on their way from `hung` to `closed`, both (t, 3) of a cut."""
+        """Point at the far ends of sleeves as a cut is `closed` (t, 3), which it began from `hung` (t, 3)."""
         on_arms = (np.array(cut.labels) == "arm")[cut.panel_of]
-        for side, (_, _, upwards) in enumerate(self._sides):
-            sleeve = on_arms & (hung[:, 1] * upwards > 0)
-            if sleeve.any():
-                before, after = (shape[sleeve, 1:] - shape[sleeve, 1:].mean(axis=0) for shape in (hung, closed))
-                crossed, along = before.T @ after @ [[0.0, -1.0], [1.0, 0.0]], (before * after).sum()
-                self.angles[side] = np.clip(upwards * np.arctan2(np.trace(crossed), along), 0.0, HIGHEST_ARMS)
+        for side, (_, _, shoulder, wrist, outwards) in enumerate(self._sides):
+            sleeve = closed[on_arms & (hung[:, 1] * outwards > 0)] - shoulder
+            if len(sleeve):
+                reach = np.linalg.norm(sleeve[:, 1:], axis=1)
+                end = sleeve[reach >= np.quantile(reach, 1 - FAR_END)].mean(axis=0)
+                here, there = (np.arctan2(to[2], outwards * to[1]) for to in (wrist - shoulder, end))
+                self.angles[side] = np.clip(there - here, 0.0, HIGHEST_ARMS)
 
-    def raised(self, vertices: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways by a share of their angles."""
-        for (arm, joint, upwards), angle in zip(self._sides, self.angles):
-            turn = Rotation.from_euler("x", upwards * share * angle)
-            vertices = vertices + arm * (turn.apply(vertices - joint) + joint - vertices)
+    def raised(self, vertices: np.ndarray, left: float = 1.0) -> np.ndarray:
+        """Vertices (V, 3) [m] of the body or its doll with arms raised sideways, by what is left of the angles, 0 to
+        1."""
+        for (of_arm, _, shoulder, _, outwards), angle in zip(self._sides, self.angles):
+            turn = Rotation.from_euler("x", outwards * left * angle)
+            vertices = vertices + of_arm * (turn.apply(vertices - shoulder) + shoulder - vertices)
+        return vertices
+
+    def without_hands(self, vertices: np.ndarray, left: float = 1.0) -> np.ndarray:
+        """Vertices (V, 3) [m] of the body with hands drawn in to the wrists, by what is left of that, 0 to 1: forearms
+        go through sleeves first, and hands come out of them."""
+        for _, of_hand, _, wrist, _ in self._sides:
+            vertices = vertices - left * (1 - 0.1 * THIN) * of_hand * (vertices - wrist)
         return vertices

@@ -54,7 +54,7 @@ edges."""
 CLOSING, SETTLING, GROWING, SOFTENING, HANGING, CALMING = 25, 5, 40, 30, 25, 15
 """Steps of each phase. First seams close within sleeves, within the body and within legs, then, in as many steps, those
 between them; closed all at once, sleeves would leave the arms. Then seams settle, the doll grows to the body's shape,
-cloth becomes soft while arms go down, and hangs. Last the garment in its own edges comes to rest."""
+cloth becomes soft while arms go down and hands grow, and hangs. Last the garment in its own edges comes to rest."""
 HIGHEST = 0.05
 """While seams close, the panel that stays at its height is held by its seams up to this far [m] below the highest, so
 that nothing pulls a bodice off the shoulders."""
@@ -247,12 +247,12 @@ def _close(
     seams.stiffness.fill_(tight)
     cloth.contact.let_none_through()
     for count in range(1, GROWING + 1):
-        shape = cloth.meets(arms.raised(doll + (count / GROWING) * (skin - doll)))
+        shape = cloth.meets(arms.raised(doll + (count / GROWING) * (arms.without_hands(skin) - doll)))
         yield cloth.step(LIGHT), shape
     for count in range(1, SOFTENING + HANGING + 1):
         left = max(1 - count / SOFTENING, 0.0)
         cloth.bend_stiffer(CARDBOARD**left)
-        shape = cloth.meets(arms.raised(skin, left))
+        shape = cloth.meets(arms.raised(arms.without_hands(skin, left), left))
         yield cloth.step(1.0), shape
 
 
