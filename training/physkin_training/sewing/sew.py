@@ -72,7 +72,7 @@ NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
 STILL = 5e-4
 """[m] Cloth of which nothing moves farther in a step hangs."""
 LARGEST_GAP = 0.01  # [m]
-CLOSING_OFFSET = 0.003
+CLOSING_OFFSET = 0.006
 """[m] at which the body is felt until the cloth hangs, however far from it that is to be: sleeves leave raised arms
 little room."""
 REACH = 0.3
