@@ -1,5 +1,5 @@
-"""Where a garment may touch itself: places far from a vertex along the cloth that are near it in everyday poses, or
-that a crease may bring to it. They are found once, from cloth that moves with the skin it lies on.
+"""Where a garment may touch itself: places far from a vertex along the cloth that are near it in everyday poses. They
+are found once, from cloth that moves with the skin it lies on.
 
 Dimensions: `n` garment vertices, `P` places, `K` of them a vertex at most. Metres.
 """
@@ -21,18 +21,18 @@ from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 from physkin_training.sampling.mirrored_poses import mirrored
 
-__all__ = ["FAR", "IN_FOLD", "MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
+__all__ = ["FAR", "MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
 
-FAR, CREASE, FOLD = 0.045, 0.09, 0.15
-"""[m] along the cloth from which on a vertex feels a place; up to which it does anyway, as cloth creases anywhere; and
-up to which both are sides of one fold."""
+FAR = 0.15
+"""[m] along the cloth from which on a vertex feels a place: what is nearer is a fold of its own, whose sides cannot be
+told from how it hangs."""
 SPACING, MEETS_WITHIN = 0.025, 0.04
 """[m] along the cloth to the nearest place, at most; in space to a place that is felt: its cloth may be 3 cm away."""
 MOST = 32
-"""Places a vertex may meet: those nearest to it in most poses, then those nearest along the cloth."""
+"""Places a vertex may meet: those nearest to it in most poses."""
 THROUGH = 0.005
 """[m] by which cloth may have been made on the wrong side of cloth whose outside it faces, by mistake."""
-IN_FOLD, OUTSIDES_OPPOSED, OUTSIDES_ALIKE = 4, 2, 3
+OUTSIDES_OPPOSED, OUTSIDES_ALIKE = 2, 3
 SMOOTHINGS = 10
 """Times that what moves a vertex is averaged with what moves its neighbours: cloth spans where skin parts."""
 
@@ -45,13 +45,11 @@ class TouchingPlaces:
     side: (n, K) int8, where a vertex stays: 1 where the place's normal points, -1 behind. It is the side on which it
     lay if the garment was made so, as with a placket. Cloth that was made apart meets with its outsides, as sleeve and
     side do: this is times 2, or 3 where one is turned inside out, and counts only while normals oppose each other, or
-    agree. In a fold, `IN_FOLD`, outsides or insides meet as the cloth is turned at middle (n, K) int32, a vertex
-    between both.
+    agree.
     """
 
     candidate: np.ndarray
     side: np.ndarray
-    middle: np.ndarray
     place: np.ndarray
     around_start: np.ndarray
     around: np.ndarray
@@ -60,51 +58,44 @@ class TouchingPlaces:
     def find(cls, garment: Garment, shapes: Iterable[np.ndarray], inside_out: np.ndarray) -> TouchingPlaces:
         """Of cloth that may lie as in `shapes`, (n, 3) each. inside_out: (n,) bool, see `Wearing`."""
         made, faces = garment.vertices, garment.faces
-        place, owner, length, between = _spread(garment)
-        score = csr_array(np.where((length >= FAR) & (length < CREASE), 1e-9 * (1 - length), 0).T)
+        place, owner, beside = _spread(garment)
+        score = csr_array((len(made), len(place)))
         for shape in shapes:
             tree = cKDTree(shape[place])
             met = cKDTree(shape).sparse_distance_matrix(tree, MEETS_WITHIN, output_type="ndarray")
-            met = met[length[met["j"], met["i"]] >= FAR]
+            met = met[~beside[met["j"], met["i"]]]
             nearer = MEETS_WITHIN - met["v"] + 1e-6
             score = score + csr_array((nearer, (met["i"], met["j"])), shape=score.shape)
         score = score.tocoo()
         vertex, at = score.coords
-        middle, outward = between[at, vertex], np.where(inside_out, -1, 1)
+        outward = np.where(inside_out, -1, 1)
         side = _sides(made, vertex_normals(made, faces), outward, vertex, place[at])
-        side[middle >= 0] = IN_FOLD
         order = np.lexsort((at, -score.data, vertex))
         order = order[side[order] != 0]
         rank = np.arange(len(order)) - np.searchsorted(vertex[order], vertex[order])
         order, rank = order[rank < MOST], rank[rank < MOST]
-        candidate, middles, sides = np.full((3, len(made), rank.max(initial=0) + 1), -1, dtype=np.int32)
-        for table, values in ((candidate, at), (middles, middle), (sides, side)):
+        candidate, sides = np.full((2, len(made), rank.max(initial=0) + 1), -1, dtype=np.int32)
+        for table, values in ((candidate, at), (sides, side)):
             table[vertex[order], rank] = values[order]
         pairs = np.unique(owner[faces.reshape(-1)] * len(faces) + np.repeat(np.arange(len(faces)), 3))
         start = np.searchsorted(pairs, np.arange(len(place) + 1) * len(faces))
-        return cls(candidate, sides.astype(np.int8), middles, place, start, pairs % len(faces))
+        return cls(candidate, sides.astype(np.int8), place, start, pairs % len(faces))
 
 
-def _spread(garment: Garment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (P,) that are places; the place nearest to each vertex (n,); from each place to each vertex the length
-    (P, n) [m] along the cloth, infinite beyond a fold, and the vertex half of the way (P, n), -1 there."""
+def _spread(garment: Garment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (P,) that are places; the place nearest to each vertex (n,); which vertices are not far from each place
+    along the cloth (P, n) bool."""
     n, ends = len(garment.vertices), garment.edges.T
     edges = np.tile(garment.edge_lengths, 2), np.hstack([ends, ends[::-1]])
     graph = coo_array(edges, shape=(n, n)).tocsr()
     nearest, owner = np.full(n, np.inf), np.zeros(n, dtype=int)
-    places, lengths, middles = [], [], []
+    places, beside = [], []
     for vertex in range(n):
         if nearest[vertex] > SPACING:
-            length, before = dijkstra(graph, indices=vertex, limit=FOLD, return_predecessors=True)
+            length = dijkstra(graph, indices=vertex, limit=FAR)
             owner[length < nearest], nearest = len(places), np.minimum(length, nearest)
-            reached = np.flatnonzero(np.isfinite(length))
-            at = reached.copy()
-            while (beyond := length[at] > length[reached] / 2).any():
-                at[beyond] = before[at[beyond]]
-            middle = np.full(n, -1, dtype=np.int32)
-            middle[reached] = at
-            places.append(vertex), lengths.append(length.astype(np.float32)), middles.append(middle)
-    return np.array(places), owner, np.array(lengths), np.array(middles)
+            places.append(vertex), beside.append(np.isfinite(length))
+    return np.array(places), owner, np.array(beside)
 
 
 def _sides(

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from physkin_training.contact.touching_places import IN_FOLD, MEETS_WITHIN, TouchingPlaces
+from physkin_training.contact.touching_places import MEETS_WITHIN, TouchingPlaces
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
 
@@ -22,8 +22,8 @@ wp.set_module_options({"enable_backward": False})
 OFFSET = 0.002
 """[m] that vertices keep from faces. Edges of 15 mm cut 0.6 mm off cloth that turns as sharply as a sleeve does, on
 both sides; the remainder is the cloth's own thickness."""
-DEEPEST, DEEPEST_IN_FOLD, IN_FOLD_WITHIN = 0.03, 0.015, 0.03
-"""[m] A vertex farther through is of another layer, or of another fold; and how near a place of its own fold is."""
+DEEPEST = 0.015
+"""[m] A vertex farther through is of another layer."""
 SOFTNESS = 0.1
 """Stiffness relative to that of contact with the body. Where skin presses limbs into each other, cloth cannot stay
 outside of both it and other cloth; then skin counts. Cloth upon cloth weighs 2 N/m2, which sinks in 3 um."""
@@ -37,7 +37,6 @@ class Touching:
 
     candidate: wp.array2d(dtype=wp.int32)
     side: wp.array2d(dtype=wp.int8)
-    middle: wp.array2d(dtype=wp.int32)
     place: wp.array(dtype=wp.int32)
     around_start: wp.array(dtype=wp.int32)
     around: wp.array(dtype=wp.int32)
@@ -110,16 +109,6 @@ def self_contact_kernel(
         return
     place = touching.candidate[v, chosen]
     side = wp.int32(touching.side[v, chosen])
-    deepest = DEEPEST
-    if side == IN_FOLD:
-        if nearest > IN_FOLD_WITHIN * IN_FOLD_WITHIN:
-            return
-        deepest = DEEPEST_IN_FOLD
-        middle = touching.middle[v, chosen]
-        both = 0.5 * (point + drapes.x[s, touching.place[place]])
-        side = 2
-        if wp.dot(both - drapes.x[s, middle], drapes.normals[s, middle]) < 0.0:  # a ridge, whose insides meet
-            side = -2
     nearest = MEETS_WITHIN * MEETS_WITHIN
     ends = wp.vec4i(-1, -1, -1, -1)
     share = wp.vec3(0.0, 0.0, 0.0)
@@ -149,9 +138,9 @@ def self_contact_kernel(
         distance = distance * wp.sign(over)
         out = gap / distance
     depth = OFFSET - distance
-    if depth <= 0.0 or depth > deepest:
+    if depth <= 0.0 or depth > DEEPEST:
         return
-    k_area = SOFTNESS * stiffness[0] * rest.vertex_area[rest.row[s], v]
+    k_area = stiffness[0] * rest.vertex_area[rest.row[s], v]
     bounded = wp.min(depth, linear_beyond)
     energy[s, v] = k_area * bounded * (2.0 * depth - bounded)
     shares = wp.vec4(1.0, -share[0], -share[1], -share[2])
@@ -200,16 +189,15 @@ def coupling_kernel(
 
 
 class SelfContact(Energy):
-    """Nothing without places that may touch. stiffness: (1,) [J/m4], that of contact with the body."""
+    """Nothing without places that may touch. stiffness: (1,) [J/m4], may be changed in place."""
 
     name = "self_contact"
 
-    def __init__(
-        self, cloth: Cloth, places: TouchingPlaces | None, *, stiffness: torch.Tensor, linear_beyond: float
-    ) -> None:
+    def __init__(self, cloth: Cloth, places: TouchingPlaces | None, *, linear_beyond: float) -> None:
         n = 0 if places is None else len(cloth.garment.vertices)
         super().__init__(cloth, np.arange(n)[:, None])
-        self.linear_beyond, self._stiffness, self._touching = linear_beyond, wp.from_torch(stiffness), Touching()
+        self.stiffness = torch.full((1,), SOFTNESS * cloth.material.contact_stiffness, device=cloth.device)
+        self.linear_beyond, self._stiffness, self._touching = linear_beyond, wp.from_torch(self.stiffness), Touching()
         for name, table in {} if places is None else (vars(places) | {"faces": cloth.garment.faces}).items():
             setattr(self._touching, name, cloth.array(table, wp.int8 if name == "side" else wp.int32))
         self.state, self._contacts = self._none_yet(n)

@@ -14,14 +14,14 @@ from physkin_core.mesh.mesh_file import MeshFile
 from physkin_core.model.garment_model import Material
 from physkin_core.rig.rig import Rig
 from physkin_training.fit_garment.fitting import CLEARANCE, SOFT
-from physkin_training.sewing.cut import Cut, cut
+from physkin_training.sewing.cut import EDGE_LENGTH_RANGE, Cut, cut
 from physkin_training.sewing.pattern import Pattern, PatternError, load_pattern
 from physkin_training.sewing.sew import sewn
 
 __all__ = ["EDGE_LENGTH", "PATTERN_SUFFIX", "sewn_mesh"]
 
-DRAFT = 0.025
-"""[m] of the triangles that it is sewn with before it hangs."""
+DRAFT = 1.7
+"""Times as long edges as a garment's are those of the draft that it is sewn with before it hangs."""
 log = logging.getLogger(__name__)
 PATTERN_SUFFIX = ".json"
 EDGE_LENGTH = 0.015
@@ -48,6 +48,6 @@ def sewn_mesh(path: Path, avatar: Avatar, rig: Rig, *, edge_length: float, devic
 def _draft(pattern: Pattern, edge_length: float) -> Cut | None:
     """A cut in longer edges; None for a panel that is too narrow for them."""
     try:
-        return cut(pattern, DRAFT) if edge_length < DRAFT else None
+        return cut(pattern, min(DRAFT * edge_length, EDGE_LENGTH_RANGE[1]))
     except PatternError:
         return None

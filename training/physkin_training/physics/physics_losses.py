@@ -103,8 +103,8 @@ class PhysicsLosses:
         self.bend, self.band = Bend(self.cloth), Band(self.cloth, wearing)
         self.collision = Collision(self.cloth, wearing, reach=reach, linear_beyond=linear_beyond, leads_back=leads_back)
         self.stretch = Stretch(self.cloth)
-        touching, stiffness = wearing and wearing.touching, self.collision.stiffness
-        self.self_contact = SelfContact(self.cloth, touching, stiffness=stiffness, linear_beyond=linear_beyond)
+        touching = wearing and wearing.touching
+        self.self_contact = SelfContact(self.cloth, touching, linear_beyond=linear_beyond)
         felt = self.stretch, self.bend, self.collision, self.self_contact
         self.energies: list[Energy] = [*felt, Gravity(self.cloth), self.band, Threads(self.cloth)]
         self._normals = self.cloth.zeros(len(garment.vertices), 3)

@@ -18,6 +18,9 @@ LATE_REACH = 0.05
 """How far [m] afterwards."""
 INITIAL_CONTACT = 0.1
 """Share of the material's contact stiffness at the start of the run."""
+FEELS_ITSELF = 0.5, 0.7
+"""Shares of the steps from which on cloth feels itself, and after which it does so in full: at the beginning it is
+crumpled, and would stay so."""
 FINAL_RATE = 0.005
 """Share of the learning rates that is left at the end of the run."""
 LAST_PART_FROM = 0.6
@@ -31,13 +34,15 @@ AVERAGE_DECAY = 0.999
 class Schedule:
     """One step's place in the run.
 
-    pose_range: share of the joint limits in use. contact: share of the material's contact stiffness. learning_rate: of
+    pose_range: share of the joint limits in use. contact: share of the material's contact stiffness, and self_contact:
+    of that of cloth with itself. learning_rate: of
     networks, skinning_rate: of skinning weights. average_decay: of the moving average. reach [m]: how far the body is
     looked for. influences, engine_influences: of a vertex, in the first and the second set of skinning weights.
     """
 
     pose_range: float
     contact: float
+    self_contact: float
     learning_rate: float
     skinning_rate: float
     average_decay: float
@@ -58,6 +63,7 @@ class Schedule:
         return cls(
             pose_range=pose_range(progress, optimisation.growth),
             contact=INITIAL_CONTACT + (1 - INITIAL_CONTACT) * ramp,
+            self_contact=min(max((progress - FEELS_ITSELF[0]) / (FEELS_ITSELF[1] - FEELS_ITSELF[0]), 0.0), 1.0),
             learning_rate=optimisation.learning_rate * factor,
             skinning_rate=optimisation.skinning_rate * factor,
             # A young average forgets faster, so that it does not hold on to the untrained start.

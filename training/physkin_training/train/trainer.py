@@ -25,6 +25,7 @@ from physkin_core.model.model_file import load_garment_model
 from physkin_training.config import TrainingConfig
 from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.rest_data import RestData
+from physkin_training.energies.self_contact import SOFTNESS
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
@@ -277,6 +278,8 @@ class Trainer:
         schedule = self.schedule
         self.range.fill_(schedule.pose_range)
         self.losses.collision.stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
+        self_contact = SOFTNESS * self.config.material.contact_stiffness * schedule.self_contact
+        self.losses.self_contact.stiffness.fill_(self_contact)
         *networks, skinning = self.optimiser.param_groups
         for group in networks:
             group["lr"].fill_(schedule.learning_rate)
