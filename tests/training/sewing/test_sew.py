@@ -22,6 +22,7 @@ from physkin_training.sewing.pattern import PatternError, load_pattern
 from physkin_training.sewing.sew import _check_closed, _made, sewn
 from physkin_training.sewing.squashed_faces import opened, squashed
 
+BONES = "upperarm01", "wrist"
 CPU = torch.device("cpu")
 RIG = load_body_model().rig
 
@@ -73,14 +74,15 @@ def test_a_skirt_that_is_buttoned_in_front(tmp_path, template):
 
 
 def test_the_paper_doll(template):
-    """Its arms go up with two sleeves that turn by 30 degrees, which hang along them."""
+    """Its arms go up with two sleeves whose far ends are 30 degrees above them."""
     doll, arms = paper_doll(template, RIG), Arms(template, RIG)
-    sleeve = np.array([[0, 0.4, 0.3], [0, 0.6, 0.1], [0, 0.5, 0.1]])
-    sleeves = np.concatenate([sleeve, sleeve * [1, -1, 1]])
-    half = np.radians(30.0) * np.array([1, -1])
-    turned = [Rotation.from_euler("x", angle).apply(part) for angle, part in zip(half, np.split(sleeves, 2))]
-    cut_of_sleeves = SimpleNamespace(labels=("arm",), panel_of=np.zeros(6, int))
-    arms.follow(cut_of_sleeves, sleeves, np.concatenate(turned) + 0.1)
+    sleeves = []
+    for side, up in (("L", 30.0), ("R", -30.0)):
+        shoulder, wrist = (template.bone_heads[RIG.bone_names.index(f"{bone}.{side}")] for bone in BONES)
+        end = Rotation.from_euler("x", up, degrees=True).apply(wrist - shoulder)
+        sleeves.append(shoulder + np.linspace(0.1, 0.9, 20)[:, None] * end)
+    sleeves = np.concatenate(sleeves)
+    arms.follow(SimpleNamespace(labels=("arm",), panel_of=np.zeros(40, int)), sleeves, sleeves)
     raised = arms.raised(doll)
     assert np.ptp(doll[:, 0]) < 0.5 * np.ptp(template.vertices[:, 0])
     hand = RIG.bone_names.index("wrist.L")

@@ -22,8 +22,8 @@ wp.set_module_options({"enable_backward": False})
 OFFSET = 0.002
 """[m] that vertices keep from faces. Edges of 15 mm cut 0.6 mm off cloth that turns as sharply as a sleeve does, on
 both sides; the remainder is the cloth's own thickness."""
-DEEPEST = 0.015
-"""[m] A vertex farther through is of another layer."""
+DEEPEST = 0.025
+"""[m] A vertex farther through is of another layer. No step of a solver brings it that far through at once."""
 SOFTNESS = 0.1
 """Stiffness relative to that of contact with the body. Where skin presses limbs into each other, cloth cannot stay
 outside of both it and other cloth; then skin counts. Cloth upon cloth weighs 2 N/m2, which sinks in 3 um."""
