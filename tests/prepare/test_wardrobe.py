@@ -27,6 +27,8 @@ OPENINGS = {
 """Of tops and dresses 4: a neck, a hem and two arms. Neck and hem of an open front are one."""
 STRETCHED = {"leggings": 0.15}
 """How far edges are from their length on average. Leggings are cut smaller than the body; all else hangs."""
+LONGER = {"pleatedskirt": 1.12}
+"""Mean edges, in the length asked for, of strips so narrow that they are two or three of them wide."""
 
 
 def is_sewn(garment, name):
@@ -57,7 +59,7 @@ def test_what_training_reads_is_sewn(name):
     garment = load_garment(GARMENTS / f"{name}.obj")
     is_sewn(garment, name)
     edges = garment.edge_lengths / EDGE_LENGTHS[name]
-    assert edges.mean() == pytest.approx(1.03, abs=0.03) and edges.min() > 0.25 and edges.max() < 2.3
+    assert edges.mean() == pytest.approx(LONGER.get(name, 1.03), abs=0.03) and edges.min() > 0.25 and edges.max() < 2.3
     assert np.degrees(trimesh.Trimesh(garment.vertices, garment.faces, process=False).face_angles.min()) > 10
 
 
