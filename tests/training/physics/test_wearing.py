@@ -83,10 +83,13 @@ def test_sleeves_may_touch_the_sides_and_one_leg_the_other(name, meets):
         np.testing.assert_array_equal(one, other)
 
 
-def test_no_cloth_of_the_shipped_garments_is_turned_inside_out(monkeypatch):
+def test_collars_lapels_and_pleats_are_turned_inside_out(monkeypatch):
+    """Small parts of these garments, and nothing of the others."""
     monkeypatch.setattr(TouchingPlaces, "find", lambda *_: None)
-    for path in sorted(GARMENTS.glob("*.obj")):
-        assert not Wearing.of(load_garment(path), BODY).inside_out.any(), path.stem
+    share = {path.stem: Wearing.of(load_garment(path), BODY).inside_out.mean() for path in GARMENTS.glob("*.obj")}
+    turned = {name for name in share if share[name] > 0}
+    assert turned == {"dressshirt", "polo", "blazer", "coat", "pleatedskirt"}
+    assert max(share.values()) < 0.05
 
 
 def test_the_fall_of_a_collar_is_turned_inside_out():

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
@@ -20,6 +18,7 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
+from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.rig.rig import Rig
 from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
 from physkin_training.contact.touching_places import TouchingPlaces, moved_with_skin
@@ -44,9 +43,6 @@ GOES_AROUND = 0.3
 """An opening goes around the bone that is closest to its centre if that is at most this share of its radius away."""
 FACES_ACROSS = 0.03
 """A limb has a far side where a face of the same part is this close [m] to the near one reflected in the bone."""
-TURNED_WITHIN, TURNED, LEAST_TURNED = 0.04, -0.3, 30e-4
-"""Cloth is turned inside out, as the fall of a collar is, where it is so near its place on the body [m] and the cosine
-between both normals is below this; less of it in one piece than this [m2] is a fold."""
 POSED_BODIES = 32
 """Training bodies of which the leanest and the stoutest show where a garment may touch itself."""
 BAND_WIDTH = 0.03
@@ -109,9 +105,9 @@ class Wearing:
         face_bone = np.where(corner_bones[:, 1] == corner_bones[:, 2], corner_bones[:, 1], corner_bones[:, 0])
         distance = np.full((len(garment.vertices), rig.bone_count), np.inf)
         outwards = np.full(distance.shape, -np.inf)
-        near_skin = cKDTree(body[faces].mean(axis=1)).query(garment.vertices)[1]
-        inside_out = _inside_out(garment, body[faces[near_skin]])
-        normals = vertex_normals(garment.vertices, garment.faces) * np.where(inside_out, -1, 1)[:, None]
+        outside = vertex_normals(garment.vertices, garment.faces)
+        inside_out = turned_cloth(np.hstack([garment.vertices, outside]), garment.faces, avatar)
+        normals = outside * np.where(inside_out, -1, 1)[:, None]
         for bone in np.unique(vertex_bone):
             part = body[vertex_bone == bone]
             distance[:, bone], closest = cKDTree(part).query(garment.vertices)
@@ -177,19 +173,6 @@ def _band(garment: Garment, avatar: Avatar, rig: Rig) -> np.ndarray:
             return np.flatnonzero(near)
     distance, _ = cKDTree(garment.vertices[rim]).query(garment.vertices, distance_upper_bound=BAND_WIDTH)
     return np.flatnonzero(np.isfinite(distance))
-
-
-def _inside_out(garment: Garment, skin: np.ndarray) -> np.ndarray:
-    """(n,) bool, see `Wearing`. skin: (n, 3, 3) corners of the face of the body that is closest to each vertex."""
-    outward = np.cross(skin[:, 1] - skin[:, 0], skin[:, 2] - skin[:, 0])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True).clip(1e-20)
-    facing = np.einsum("ni,ni->n", outward, vertex_normals(garment.vertices, garment.faces))
-    near = np.linalg.norm(garment.vertices - skin.mean(axis=1), axis=1) < TURNED_WITHIN
-    turned = near & (facing < TURNED)
-    ends = garment.edges[turned[garment.edges].all(axis=1)].T
-    graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(turned), len(turned)))
-    piece = connected_components(graph, directed=False)[1]
-    return turned & (np.bincount(piece, weights=garment.vertex_areas)[piece] >= LEAST_TURNED)
 
 
 def _hung_around(
