@@ -120,7 +120,7 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "contact_gaps": np.full(len(samples), -1.0, dtype=np.float32),
         "contact_hangs": np.zeros(len(samples), dtype=np.float32),
         "between_gaps": np.full(len(between), -1.0, dtype=np.float32),
-        "touching_gaps": np.full(len(touching.get("touching_samples", ())), -1.0, dtype=np.float32),
+        "touching_gaps": np.full(len(touching["touching_samples"]), -1.0, dtype=np.float32),
     }
     clearance = _clearance_at_rest(replace(bound, **fields)) - native.constants["soft"]
     of_samples, of_between, of_touching = np.split(clearance, [len(samples), len(samples) + len(between)])
@@ -153,8 +153,9 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     """
     from scipy.spatial import cKDTree
 
+    none = {"touching_samples": np.empty(0, dtype=np.int32), "touching_sides": np.empty((0, 0), dtype=np.int32)}
     if not nodes.shape[1]:
-        return {}
+        return none
     size: int = native.constants["block"]
     at, facing = np.split(drape, 2, axis=1)
     off, nearest = cKDTree(skin.points).query(at)
@@ -178,7 +179,7 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     presses = (limb[:, None] != limb) & (arm[:, None] | arm | ((limb[:, None] >= 0) & (limb >= 0)))
     sides = np.where(presses & (a < over) & (b < over), PRESSES, 0)
     sides = np.where((a == over) & (b == over + 1), BENEATH, np.where((a == over + 1) & (b == over), OVER, sides))
-    return {"touching_samples": samples, "touching_sides": sides.astype(np.int32)} if sides.any() else {}
+    return {"touching_samples": samples, "touching_sides": sides.astype(np.int32)} if sides.any() else none
 
 
 def _seeing(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -324,7 +324,7 @@ def number(value: int) -> bytes:
     ("change", "message"),
     [
         (lambda d: b"safetens" + d[8:], "bytes is no bound garment, or was bound by another version"),
-        (lambda d: d[:8] + number(9) + d[12:], "the file has version 9; this library reads 13; `physkin bind` it anew"),
+        (lambda d: d[:8] + number(9) + d[12:], "the file has version 9; this library reads 14; `physkin bind` it anew"),
         (lambda d: d[:20] + number(6) + d[24:90] + d[101:], "names 6 joints; expected 7"),
         (lambda d: d[:101] + number(0) + d[105:], "0 for the number of garments; allowed: 1 to 16"),
         (lambda d: d[:101] + number(17) + d[105:], "17 for the number of garments"),

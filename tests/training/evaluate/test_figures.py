@@ -21,7 +21,7 @@ def drapes(count, *, seed=4):
     rng = np.random.default_rng(seed)
     n = len(GARMENT.vertices)
     vertices = GARMENT.vertices + 0.003 * rng.normal(size=(count, n, 3))
-    arrays = (vertices, rng.uniform(size=(count, 4)), rng.normal(scale=0.01, size=(count, n)))
+    arrays = (vertices, rng.uniform(size=(count, 5)), rng.normal(scale=0.01, size=(count, n)))
     return [torch.as_tensor(a, dtype=torch.float32) for a in arrays]
 
 
