@@ -325,7 +325,7 @@ def test_layers_of_the_cloth_keep_the_order_they_were_made_in():
     found = contact._touching(cloth, np.arange(32)[:, None], skin, LEGS)
     assert sorted(found["touching_samples"][:16]) == list(range(16, 32))
     assert found["touching_sides"].tolist() == [[0, 1], [2, 0]]
-    assert contact._touching(cloth, np.zeros((32, 1), dtype=int), skin, LEGS) == {}
+    assert not len(contact._touching(cloth, np.zeros((32, 1), dtype=int), skin, LEGS)["touching_samples"])
 
 
 def test_cloth_whose_outside_faces_the_body_is_turned_around():
