@@ -186,8 +186,7 @@ class Garment:
         used, faces = np.unique(self.faces[chosen], return_inverse=True)
         other = Garment(self.vertices[used], faces.reshape(-1, 3))
         other._set(**other._at_rest(self.rest_edges[chosen], self.face_areas[chosen]))
-        kept = [] if self.threads is None else self.threads[np.isin(self.threads, used).all(axis=1)]
-        if len(kept):
+        if self.threads is not None and len(kept := self.threads[np.isin(self.threads, used).all(axis=1)]):
             other._set(threads=np.searchsorted(used, kept).astype(np.int32))
         return other
 
@@ -329,7 +328,8 @@ def garment_of_mesh(
         return garment
     along = np.isin(_keys(lines, len(vertices)), _keys(mesh_edges(faces)[0], len(vertices)))
     creases, threads = (each if len(each) else None for each in (lines[along], lines[~along]))
-    return Garment(vertices, faces, creases, *(panels or (None, None)), threads)
+    places, panel_faces = panels or (None, None)
+    return Garment(vertices, faces, creases, places, panel_faces, threads)
 
 
 def _keys(pairs: np.ndarray, count: int) -> np.ndarray:
