@@ -12,7 +12,16 @@ import numpy as np
 from physkin_core.model.garment import vertex_normals
 from physkin_training.quiet_warp import wp
 
-__all__ = ["FARTHEST", "BodySurface", "Closest", "covering_faces", "goes_through", "layers_near", "piercing_edges"]
+__all__ = [
+    "FARTHEST",
+    "BodySurface",
+    "Closest",
+    "closest_on_face",
+    "covering_faces",
+    "goes_through",
+    "layers_near",
+    "piercing_edges",
+]
 
 FARTHEST = 10.0
 """The body is looked for up to this distance [m]."""
@@ -62,6 +71,37 @@ def met_kernel(
     if hit.result and side * wp.dot(hit.normal, directions[i]) < 0.0:
         face[i] = hit.face
         barycentric[i] = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
+
+
+@wp.func
+def closest_on_face(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Barycentric coordinates of the closest point (Ericson 2005, *Real-time collision detection*, section 5.1.5)."""
+    ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
+    d1, d2, d3, d4, d5, d6 = (
+        wp.dot(ab, ap),
+        wp.dot(ac, ap),
+        wp.dot(ab, bp),
+        wp.dot(ac, bp),
+        wp.dot(ab, cp),
+        wp.dot(ac, cp),
+    )
+    if d1 <= 0.0 and d2 <= 0.0:
+        return wp.vec3(1.0, 0.0, 0.0)
+    if d3 >= 0.0 and d4 <= d3:
+        return wp.vec3(0.0, 1.0, 0.0)
+    if d6 >= 0.0 and d5 <= d6:
+        return wp.vec3(0.0, 0.0, 1.0)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+        return wp.vec3(1.0 - v, v, 0.0)
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+        return wp.vec3(1.0 - w, 0.0, w)
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return wp.vec3(0.0, 1.0 - w, w)
+    return wp.vec3(va, vb, vc) / (va + vb + vc)
 
 
 @wp.func

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from physkin_training.contact.surface_queries import closest_on_face
 from physkin_training.contact.touching_places import MEETS_WITHIN, TouchingPlaces
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
@@ -54,32 +55,6 @@ class Contacts:
     curvature: wp.array2d(dtype=wp.float32)
 
 
-@wp.func
-def closest_on(point: wp.vec3, corners: wp.mat33) -> wp.vec3:
-    """Barycentric coordinates of the point of a face that is closest to another one. Its corners are rows."""
-    first = corners[1] - corners[0]
-    second = corners[2] - corners[0]
-    normal = wp.cross(first, second)
-    size = wp.max(wp.length_sq(normal), 1.0e-20)
-    b = wp.dot(wp.cross(point - corners[0], second), normal) / size
-    c = wp.dot(wp.cross(first, point - corners[0]), normal) / size
-    closest = wp.vec3(1.0 - b - c, b, c)
-    if wp.min(closest) < 0.0:
-        nearest = wp.float32(wp.inf)
-        for i in range(3):
-            j = (i + 1) % 3
-            edge = corners[j] - corners[i]
-            along = wp.dot(point - corners[i], edge) / wp.max(wp.length_sq(edge), 1.0e-20)
-            along = wp.clamp(along, 0.0, 1.0)
-            squared = wp.length_sq(corners[i] + along * edge - point)
-            if squared < nearest:
-                nearest = squared
-                closest = wp.vec3(0.0, 0.0, 0.0)
-                closest[i] = 1.0 - along
-                closest[j] = along
-    return closest
-
-
 @wp.kernel
 def self_contact_kernel(
     rest: Rest,
@@ -118,7 +93,7 @@ def self_contact_kernel(
         face = touching.around[k]
         a, b, c = touching.faces[face, 0], touching.faces[face, 1], touching.faces[face, 2]
         corners = wp.matrix_from_rows(drapes.x[s, a], drapes.x[s, b], drapes.x[s, c])
-        closest = closest_on(point, corners)
+        closest = closest_on_face(point, corners[0], corners[1], corners[2])
         away = point - wp.transpose(corners) * closest
         if wp.length_sq(away) < nearest:
             nearest = wp.length_sq(away)
