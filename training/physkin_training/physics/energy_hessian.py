@@ -121,15 +121,16 @@ class EnergyHessian:
 
     def multiply(self, x: torch.Tensor, product: torch.Tensor) -> None:
         """Write H x into `product`, both (B, n, 3)."""
+        given, written = view(x), view(product)
         wp.launch(
             multiply_kernel,
             dim=x.shape[:2],
-            inputs=[self._active, self._row_start, self._columns, self._all, view(x)],
-            outputs=[view(product)],
+            inputs=[self._active, self._row_start, self._columns, self._all, given],
+            outputs=[written],
             device=self.device,
         )
         for energy in self.losses.energies:
-            energy.add_coupling(self._active, view(x), view(product))
+            energy.add_coupling(self._active, given, written)
 
     def precondition(self, x: torch.Tensor) -> torch.Tensor:
         """Inverse of the diagonal blocks times x (B, n, 3)."""
