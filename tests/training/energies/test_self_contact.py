@@ -10,7 +10,7 @@ import warp as wp
 
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.garment_model import Material
-from physkin_training.contact.touching_places import TouchingPlaces
+from physkin_training.contact.touching_places import FAR, FOLDED_FROM, TouchingPlaces
 from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.self_contact import DEEPEST, OFFSET, SOFTNESS
 from physkin_training.physics.energy_hessian import EnergyHessian
@@ -209,3 +209,24 @@ def test_without_places_nothing_is_felt():
     energies, gradient = felt(losses, crumpled(garment, small, 0))
     assert energies.size == 0 and not gradient.any()
     assert vertex_normals(garment.vertices, garment.faces)[0, 2] == 1
+
+
+def test_a_fall_feels_the_stand_that_it_was_made_upon():
+    """A strip folded over, 5 mm apart: what is 4.5 cm and more along the cloth keeps to the side on which it was made,
+    though it is nearer than places are that meet in poses."""
+    rows, columns = 13, 5
+    along = EDGE * (np.arange(rows) - (rows - 1) / 2)
+    x, y = np.meshgrid(along, EDGE * np.arange(columns), indexing="ij")
+    vertices = np.stack([np.abs(x).ravel(), y.ravel(), np.where(x < 0, 0.0, 0.005).ravel()], axis=1)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    garment = Garment(vertices, faces)
+    assert FOLDED_FROM < np.ptp(along) + 0.005 < FAR
+    losses = losses_of(garment)
+    assert not felt(losses, vertices)[0].any()
+    end = np.arange(len(vertices)) >= len(vertices) - columns
+    pushed = vertices - np.where(end[:, None], [0, 0, 0.008], 0)
+    energy, gradient = felt(losses, pushed)
+    assert energy[0, end].all()
+    assert (gradient[0, end, 2] < 0).all()

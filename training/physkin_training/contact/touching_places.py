@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment, vertex_normals
@@ -24,8 +25,11 @@ from physkin_training.sampling.mirrored_poses import mirrored
 __all__ = ["FAR", "MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
 
 FAR = 0.15
-"""[m] along the cloth from which on a vertex feels a place: what is nearer is a fold of its own, whose sides cannot be
-told from how it hangs."""
+"""[m] along the cloth from which on a vertex feels a place: what is nearer is mostly a fold of its own, whose sides
+cannot be told from how it hangs."""
+FOLDED_FROM, FOLDED = 0.045, 0.25
+"""[m] along the cloth from which on a vertex feels a place that it was made upon, as the fall of a collar was upon its
+stand; and how near they were made, as a share of that."""
 SPACING, MEETS_WITHIN = 0.025, 0.04
 """[m] along the cloth to the nearest place, at most; in space to a place that is felt: its cloth may be 3 cm away."""
 MOST = 32
@@ -58,12 +62,14 @@ class TouchingPlaces:
     def find(cls, garment: Garment, shapes: Iterable[np.ndarray], inside_out: np.ndarray) -> TouchingPlaces:
         """Of cloth that may lie as in `shapes`, (n, 3) each. inside_out: (n,) bool, see `Wearing`."""
         made, faces = garment.vertices, garment.faces
-        place, owner, beside = _spread(garment)
+        place, owner, along = _spread(garment)
+        upon = (along >= FOLDED_FROM) & (cdist(made[place], made) < FOLDED * along)
+        felt = (along >= FAR) | upon
         score = csr_array((len(made), len(place)))
         for shape in shapes:
             tree = cKDTree(shape[place])
             met = cKDTree(shape).sparse_distance_matrix(tree, MEETS_WITHIN, output_type="ndarray")
-            met = met[~beside[met["j"], met["i"]]]
+            met = met[felt[met["j"], met["i"]]]
             nearer = MEETS_WITHIN - met["v"] + 1e-6
             score = score + csr_array((nearer, (met["i"], met["j"])), shape=score.shape)
         score = score.tocoo()
@@ -83,19 +89,19 @@ class TouchingPlaces:
 
 
 def _spread(garment: Garment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (P,) that are places; the place nearest to each vertex (n,); which vertices are not far from each place
-    along the cloth (P, n) bool."""
+    """Vertices (P,) that are places; the place nearest to each vertex (n,); how far vertices are from each place along
+    the cloth (P, n) [m], infinitely where it is `FAR`."""
     n, ends = len(garment.vertices), garment.edges.T
     edges = np.tile(garment.edge_lengths, 2), np.hstack([ends, ends[::-1]])
     graph = coo_array(edges, shape=(n, n)).tocsr()
     nearest, owner = np.full(n, np.inf), np.zeros(n, dtype=int)
-    places, beside = [], []
+    places, along = [], []
     for vertex in range(n):
         if nearest[vertex] > SPACING:
             length = dijkstra(graph, indices=vertex, limit=FAR)
             owner[length < nearest], nearest = len(places), np.minimum(length, nearest)
-            places.append(vertex), beside.append(np.isfinite(length))
-    return np.array(places), owner, np.array(beside)
+            places.append(vertex), along.append(length)
+    return np.array(places), owner, np.array(along)
 
 
 def _sides(

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from physkin_training.contact.contours import faces_of_edges, shorter_curve
 from physkin_training.contact.surface_queries import closest_on_face, goes_through
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
@@ -35,8 +36,6 @@ REACH = 0.7
 """Pairs are looked for within this share of the edges' mean length."""
 KEPT = 0.9
 """Share of the distance to the plane between the places of a pair that a vertex may go."""
-STEEP = 0.1
-"""Cosine between an edge and a face's normal, below which it counts as this."""
 PAIRS = 24
 """As many pairs at most, for each vertex on average."""
 
@@ -158,20 +157,6 @@ def edge_pairs_kernel(mesh_id: wp.uint64, reach: wp.float32, sheets: Sheets, pai
             other = sheets.face_edges[face][k]
             if other > e and sheets.owner[other] == face:
                 look_at_edges(mesh.points, reach, sheets, pairs, edge, sheets.edges[other])
-
-
-@wp.func
-def shorter_curve(p: wp.vec3, edge: wp.vec3, normal: wp.vec3, opposite: wp.vec3):
-    """Where an edge from p along a unit vector, of a face whose third corner is given, has to go from the place where
-    it crosses another face with that normal, so that the curve gets shorter which begins there."""
-    inwards = opposite - p
-    inwards = inwards - wp.dot(inwards, edge) * edge
-    along = wp.normalize(wp.cross(normal, wp.cross(edge, inwards)))
-    if wp.dot(along, inwards) < 0.0:
-        along = -along
-    steep = wp.dot(edge, normal)
-    steep = wp.where(steep < 0.0, wp.min(steep, -STEEP), wp.max(steep, STEEP))
-    return along - (wp.dot(along, edge) / steep) * normal
 
 
 @wp.kernel
@@ -299,7 +284,7 @@ class ClothContact(Energy):
         self._reach = REACH * float(garment.edge_lengths.mean())
         self._farthest = 0.5 * KEPT * self._reach
         self._sheets, self._pairs = Sheets(), Pairs()
-        owner, opposite = _faces_of_edges(garment.faces, garment.face_edges, self._edges)
+        owner, opposite = faces_of_edges(garment.faces, garment.face_edges, self._edges)
         tables = {"edges": garment.edges, "opposite": opposite, "face_edges": garment.face_edges, "owner": owner}
         tables |= {"sewn": sewn, "panel": panel, "face": np.full(self._edges, -1), "place": places.astype(np.float32)}
         types = {"edges": wp.vec2i, "opposite": wp.vec2i, "face_edges": wp.vec3i, "place": wp.vec2}
@@ -369,14 +354,3 @@ class ClothContact(Energy):
         """Whether some of vertices (1, n, 3) are as far as they may go before it is looked at again."""
         moved = torch.linalg.vector_norm(vertices[0] - self._points, dim=1).max()
         return bool(moved > KEPT * self._farthest)
-
-
-def _faces_of_edges(faces: np.ndarray, face_edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """A face (e,) of each edge, and the third corners (e, 2) of its faces, -1 where there is one face alone."""
-    order = np.argsort(face_edges.reshape(-1), kind="stable")
-    edge = face_edges.reshape(-1)[order]
-    again = np.concatenate([[False], edge[1:] == edge[:-1]]).astype(int)
-    opposite, owner = np.full((count, 2), -1), np.empty(count, int)
-    opposite[edge, again] = np.roll(faces, 1, axis=1).reshape(-1)[order]
-    owner[edge] = order // 3
-    return owner, opposite

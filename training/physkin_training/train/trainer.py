@@ -40,6 +40,7 @@ from physkin_training.train.checkpoint import CHECKPOINT_SUFFIX, Progress, load_
 from physkin_training.train.schedule import EARLY_REACH, Schedule, is_stuck, last_part
 from physkin_training.train.steadiness import Steadiness
 from physkin_training.train.step_rate import steady_rate
+from physkin_training.train.untangling import Untangling
 from physkin_training.train.validation import CONTACT_LINEAR_BEYOND, HEAVY_ENERGY, BestModel, Validation
 from physkin_training.transfer.warm_start import take_over_model
 
@@ -130,6 +131,7 @@ class Trainer:
             heavy_energy=HEAVY_ENERGY,
             rest=rest,
         )
+        self._untangling = Untangling(self.garment, self.posed_bodies.offset)
         self.validation = Validation(config, body_model, self.garment, self.bodies, wearing, fits=self.fits, rest=rest)
         self.range = torch.zeros((), device=device)
         self._average_decay = torch.zeros((), device=device)
@@ -280,6 +282,7 @@ class Trainer:
         self.losses.collision.stiffness.fill_(self.config.material.contact_stiffness * schedule.contact)
         self_contact = SOFTNESS * self.config.material.contact_stiffness * schedule.self_contact
         self.losses.self_contact.stiffness.fill_(self_contact)
+        self._untangling.share.fill_(schedule.self_contact)
         *networks, skinning = self.optimiser.param_groups
         for group in networks:
             group["lr"].fill_(schedule.learning_rate)
@@ -377,7 +380,7 @@ class Trainer:
         loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
         self._stretch_and_collision.copy_(energies.stretch + energies.collision)
-        return loss
+        return loss + self._untangling(vertices, torch.rsqrt(1 + energies.strained / HEAVY_ENERGY))
 
     @torch.no_grad()
     def _update_average(self) -> None:
