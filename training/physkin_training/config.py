@@ -116,6 +116,7 @@ class NetworkConfig:
     As many network weights a frame as the paper's (a pose modulator of 4 layers of 512, a node deformer of 4 of 128),
     spent where they do more: a node deformer twice as wide, whose last layer spans twice as many drapes. pose_rank: of
     the pose modulator's layers but the first, each then a product of two (see `physkin_core.model.mlp`); 0: full.
+    drapes: width of the node deformer's last hidden layer, so many drapes it mixes; 0: as the others.
     """
 
     pose_hidden: Count = 384
@@ -123,9 +124,15 @@ class NetworkConfig:
     pose_rank: Annotated[int, Field(strict=True, ge=0)] = 0
     deformer_hidden: Count = 256
     deformer_layers: Count = 4
+    drapes: Annotated[int, Field(strict=True, ge=0)] = 0
     token_width: Annotated[Count, Field(multiple_of=HEADS)] = 128
     feed_forward: Count = 256
     residual_blocks: Annotated[int, Field(strict=True, ge=0)] = 2
+
+    @property
+    def deformer_widths(self) -> list[int]:
+        """Of the node deformer's hidden layers."""
+        return [self.deformer_hidden] * (self.deformer_layers - 1) + [self.drapes or self.deformer_hidden]
 
 
 def _as_material(data: object) -> object:

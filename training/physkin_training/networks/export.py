@@ -141,6 +141,7 @@ def network_config(model: GarmentModel) -> NetworkConfig:
         pose_rank=len(projections[0]) if projections else 0,
         deformer_hidden=len(model.node_deformer[0][1]),
         deformer_layers=len(model.node_deformer) - 1,
+        drapes=len(model.node_deformer[-2][1]),
         token_width=len(model.hyper_modulator["embed.bias"]),
         feed_forward=len(model.hyper_modulator["feed_forward.0.bias"]),
         residual_blocks=blocks,

@@ -7,6 +7,8 @@ those of the garment model file. Dimensions: `B` poses, `S` bodies, `N` points, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -23,12 +25,12 @@ LINEAR_UNIT, SHIFT_UNIT = 0.2, 0.03
 
 
 class ModulatedMLP(nn.Module):
-    """Hidden layers silu((1 + scale) * (W x + bias) + shift), then a linear layer that starts near zero. rank: of all
-    layers but the first, each then a projection and a layer; 0: full."""
+    """Hidden layers silu((1 + scale) * (W x + bias) + shift) of some widths, then a linear layer that starts near zero.
+    rank: of all layers but the first, each then a projection and a layer; 0: full."""
 
-    def __init__(self, inputs: int, hidden: int, hidden_layers: int, outputs: int, *, rank: int = 0) -> None:
+    def __init__(self, inputs: int, hidden: Sequence[int], outputs: int, *, rank: int = 0) -> None:
         super().__init__()
-        widths = [*[hidden] * hidden_layers, outputs]
+        widths = [*hidden, outputs]
         self.layers = nn.ModuleList([nn.Linear(inputs, widths[0])])
         for before, after in zip(widths, widths[1:]):
             if rank:
@@ -142,16 +144,15 @@ class Networks(nn.Module):
     ) -> None:
         super().__init__()
         numbers = 12 * node_count
-        self.node_deformer = ModulatedMLP(numbers, config.deformer_hidden, config.deformer_layers, numbers)
+        self.node_deformer = ModulatedMLP(numbers, config.deformer_widths, numbers)
         self.pose_modulator = ModulatedMLP(
             pose_size,
-            config.pose_hidden,
-            config.pose_layers,
+            [config.pose_hidden] * config.pose_layers,
             self.node_deformer.modulation_size,
             rank=config.pose_rank,
         )
         self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
-        self.detail = None if detail is None else DetailNetwork(config.deformer_hidden, detail.features, detail.count)
+        self.detail = None if detail is None else DetailNetwork(config.deformer_widths[-1], detail.features, detail.count)
         nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))
