@@ -15,6 +15,7 @@ from physkin_core import load_body_model
 from physkin_core.model.garment import face_areas
 from physkin_core.model.garment_model import Material
 from physkin_core.quality import edge_strain
+from physkin_prepare.wardrobe import PATTERNS
 from physkin_training.contact.surface_queries import BodySurface, piercing_edges
 from physkin_training.sewing.cut import cut
 from physkin_training.sewing.paper_doll import Arms, paper_doll
@@ -73,6 +74,15 @@ def test_a_skirt_that_is_buttoned_in_front(tmp_path, template):
     assert garment.vertices[:, 2].min() < garment.vertices[garment.threads, 2].max() - 0.4, "on the hips"
 
 
+def test_a_full_circle_hangs_below_the_arms(template):
+    """Its panels are half circles, whose straight sides are sewn at the height of the elbows, 70 cm to either side."""
+    garment = sewn(cut(load_pattern(PATTERNS / "circleskirt.json"), 0.04), template, RIG, Material(), CPU)
+    assert BodySurface(template.vertices, template.faces).closest(garment.vertices).distance.min() > 0
+    hands = template.bone_heads[[RIG.bone_names.index(f"wrist.{side}") for side in "LR"]]
+    outside = np.abs(garment.vertices[:, 1]) > 0.9 * np.abs(hands[:, 1]).min()
+    assert garment.vertices[outside, 2].max() < hands[:, 2].min()
+
+
 def test_the_paper_doll(template):
     """Its arms go up with two sleeves whose far ends are 30 degrees above them."""
     doll, arms = paper_doll(template, RIG), Arms(template, RIG)
@@ -94,6 +104,8 @@ def test_the_paper_doll(template):
         assert np.degrees(np.arctan2(-way[2], way[1])) == pytest.approx(down, abs=3)
     legs = template.vertices[:, 2] < -0.2
     np.testing.assert_array_equal(doll[legs], raised[legs])
+    arms.follow(SimpleNamespace(labels=("leg",), panel_of=np.zeros(40, int)), sleeves, sleeves)
+    np.testing.assert_allclose(np.degrees(arms.angles), 60.0, err_msg="without sleeves")
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
+from trimesh.triangles import closest_point
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment, vertex_normals
@@ -36,6 +37,8 @@ MOST = 32
 """Places a vertex may meet: those nearest to it in most poses."""
 THROUGH = 0.005
 """[m] by which cloth may have been made on the wrong side of cloth whose outside it faces, by mistake."""
+OVER = 0.7
+"""Cosine to a face's normal: a vertex in a direction beyond is beside an edge of the cloth, and does not touch it."""
 OUTSIDES_OPPOSED, OUTSIDES_ALIKE = 2, 3
 SMOOTHINGS = 10
 """Times that what moves a vertex is averaged with what moves its neighbours: cloth spans where skin parts."""
@@ -84,8 +87,11 @@ class TouchingPlaces:
         for table, values in ((candidate, at), (sides, side)):
             table[vertex[order], rank] = values[order]
         pairs = np.unique(owner[faces.reshape(-1)] * len(faces) + np.repeat(np.arange(len(faces)), 3))
-        start = np.searchsorted(pairs, np.arange(len(place) + 1) * len(faces))
-        return cls(candidate, sides.astype(np.int8), place, start, pairs % len(faces))
+        start, around = np.searchsorted(pairs, np.arange(len(place) + 1) * len(faces)), pairs % len(faces)
+        lay = np.nonzero((candidate >= 0) & (np.abs(sides) == 1))
+        above = _heights(made[lay[0]], made[faces[around]], start, candidate[lay])
+        sides[lay] *= np.where(sides[lay] * above < -THROUGH, -1, 1)
+        return cls(candidate, sides.astype(np.int8), place, start, around)
 
 
 def _spread(garment: Garment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -119,6 +125,19 @@ def _sides(
     meet = (outward[other] * before > 0) | (outward[vertex] * behind < 0)
     kind = np.where(outward[vertex] == outward[other], OUTSIDES_OPPOSED, OUTSIDES_ALIKE)
     return np.where(np.linalg.norm(gap, axis=1) <= MEETS_WITHIN, lay, meet * outward[other] * kind)
+
+
+def _heights(points: np.ndarray, corners: np.ndarray, start: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """How far (k,) [m] points (k, 3) are above the closest face around the place (k,) of each, whose corners
+    (a, 3, 3) begin at `start` (P + 1,); 0 beside it. Where cloth is rolled over, places face elsewhere."""
+    count = (start[1:] - start[:-1])[place]
+    point, first = np.repeat(np.arange(len(place)), count), count.cumsum() - count
+    corners = corners[np.arange(count.sum()) + np.repeat(start[place] - first, count)]
+    gap = points[point] - closest_point(corners, points[point])
+    order = np.lexsort(((gap * gap).sum(axis=1), point))[first]
+    gap, normal = gap[order], np.cross(*np.diff(corners[order], axis=1).swapaxes(0, 1))
+    height = np.einsum("ki,ki->k", gap, normal) / np.linalg.norm(normal, axis=1)
+    return np.where(np.abs(height) < OVER * np.linalg.norm(gap, axis=1), 0.0, height)
 
 
 def moved_with_skin(

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from physkin_training.contact.surface_queries import closest_on_face
-from physkin_training.contact.touching_places import MEETS_WITHIN, TouchingPlaces
+from physkin_training.contact.touching_places import MEETS_WITHIN, OVER, TouchingPlaces
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
 
@@ -28,8 +28,6 @@ DEEPEST = 0.025
 SOFTNESS = 0.1
 """Stiffness relative to that of contact with the body. Where skin presses limbs into each other, cloth cannot stay
 outside of both it and other cloth; then skin counts. Cloth upon cloth weighs 2 N/m2, which sinks in 3 um."""
-OVER = 0.7
-"""Cosine to a face's normal: a vertex in a direction beyond is beside an edge of the cloth, and does not touch it."""
 
 
 @wp.struct

@@ -152,7 +152,8 @@ class Networks(nn.Module):
             rank=config.pose_rank,
         )
         self.hyper_modulator = HyperModulator(config, self.pose_modulator.modulation_size)
-        self.detail = None if detail is None else DetailNetwork(config.deformer_widths[-1], detail.features, detail.count)
+        drapes = config.deformer_widths[-1]
+        self.detail = None if detail is None else DetailNetwork(drapes, detail.features, detail.count)
         nn.init.normal_(self.pose_modulator.layers[-1].weight, std=1e-2)
         self.register_buffer("node_mean", torch.zeros(12 * node_count))
         self.register_buffer("node_scale", torch.ones(12 * node_count))

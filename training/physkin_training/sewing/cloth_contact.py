@@ -298,7 +298,7 @@ class ClothContact(Energy):
         for name, dtype in (of_pairs | {"distance": wp.float32, "pushed": wp.bool}).items():
             setattr(self._pairs, name, wp.zeros(PAIRS * n, dtype=dtype, device=device))
         self._pairs.count = wp.zeros(1, dtype=wp.int32, device=device)
-        self._points = torch.zeros(n, 3, device=cloth.device)
+        self._points = torch.tensor(garment.vertices, dtype=torch.float32, device=cloth.device)
         self._mesh = wp.Mesh(view(self._points), cloth.array(garment.faces.reshape(-1)))
         self._own = cloth.zeros(n, 3, 3)
         self.state = (self._own,)

@@ -57,10 +57,12 @@ class Arms:
         self.angles = np.zeros(len(self._sides))
 
     def follow(self, cut: Cut, hung: np.ndarray, closed: np.ndarray) -> None:
-        """Point at the far ends of sleeves as a cut is `closed` (t, 3), which it began from `hung` (t, 3)."""
+        """Point at the far ends of sleeves as a cut is `closed` (t, 3), which it began from `hung` (t, 3); without
+        sleeves, out of the way of wide skirts."""
         on_arms = (np.array(cut.labels) == "arm")[cut.panel_of]
         for side, (_, _, shoulder, wrist, outwards) in enumerate(self._sides):
             sleeve = closed[on_arms & (hung[:, 1] * outwards > 0)] - shoulder
+            self.angles[side] = HIGHEST_ARMS
             if len(sleeve):
                 reach = np.linalg.norm(sleeve[:, 1:], axis=1)
                 end = sleeve[reach >= np.quantile(reach, 1 - FAR_END)].mean(axis=0)
