@@ -160,11 +160,15 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     at, facing = np.split(drape, 2, axis=1)
     off, nearest = cKDTree(skin.points).query(at)
     limbs, arm = parts.limb[skin.part[nearest]], parts.arm[skin.part[nearest]]
-    groups = []
-    for limb in np.unique(limbs):
-        own = limbs == limb
-        others = ~own & (arm | arm[own].any() | ((limbs >= 0) & (limb >= 0)))
-        groups.append(_seeing(drape, np.flatnonzero(own & (off < HANGS)), np.flatnonzero(others)))
+
+    def press(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (limbs[a] != limbs[b]) & (arm[a] | arm[b] | (np.minimum(limbs[a], limbs[b]) >= 0))
+
+    groups, of_limbs = [], [np.flatnonzero(limbs == limb) for limb in np.unique(limbs)]
+    for of_limb in of_limbs:
+        own, others = of_limb[off[of_limb] < HANGS], [other for other in of_limbs if press(of_limb[0], other[0])]
+        sight = np.max([_sight(drape, own, other) for other in others] or np.zeros((1, len(own))), axis=0)
+        groups.append(own[(-sight).argsort(kind="stable")[: (sight > SEES).sum() // size * size]])
     first, second = cKDTree(at).query_pairs(OVERLAP, output_type="ndarray").T
     far = ~(nodes[first][:, :, None] == nodes[second][:, None]).any(axis=(1, 2))
     first, second = (of[far & ((facing[first] * facing[second]).sum(axis=1) > 0.5)] for of in (first, second))
@@ -175,25 +179,21 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     samples = np.concatenate(groups).astype(np.int32)
     kind = np.repeat(np.arange(len(groups)), [len(group) // size for group in groups])
     a, b = np.meshgrid(kind, kind, indexing="ij")
-    over, limb, arm = len(groups) - 2, limbs[samples[::size]], arm[samples[::size]]
-    presses = (limb[:, None] != limb) & (arm[:, None] | arm | ((limb[:, None] >= 0) & (limb >= 0)))
-    sides = np.where(presses & (a < over) & (b < over), PRESSES, 0)
+    over, blocks = len(groups) - 2, samples[::size]
+    sides = np.where(press(blocks[:, None], blocks) & (a < over) & (b < over), PRESSES, 0)
     sides = np.where((a == over) & (b == over + 1), BENEATH, np.where((a == over + 1) & (b == over), OVER, sides))
     return {"touching_samples": samples, "touching_sides": sides.astype(np.int32)} if sides.any() else none
 
 
-def _seeing(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Of samples `own`, whole blocks of those that see blocks of the others before their outside and are seen."""
+def _sight(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """How well samples `own` see a block of the others before their outside and are seen: the lower cosine (k,)."""
     size: int = native.constants["block"]
-    if not len(others):
-        return others
     others = others[_blocks_of_cloth(drape[others])]
     first = np.arange(0, len(others), size)
     blocks = np.add.reduceat(drape[others], first) / np.diff(first, append=len(others))[:, None]
     apart = unit(blocks[:, :3] - drape[own, None, :3])
     cosines = (apart * drape[own, None, 3:]).sum(axis=2), -(apart * unit(blocks[:, 3:])).sum(axis=2)
-    sight = np.minimum(*cosines).max(axis=1)
-    return own[(-sight).argsort(kind="stable")[: (sight > SEES).sum() // size * size]]
+    return np.minimum(*cosines).max(axis=1)
 
 
 def _met(skin: Skin, sides: np.ndarray) -> tuple[Skin, np.ndarray]:
