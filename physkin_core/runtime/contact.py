@@ -25,6 +25,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, drape_poses
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
+from physkin_core.runtime.turned_cloth import turned_cloth
 
 __all__ = ["meeting_skin"]
 
@@ -50,9 +51,6 @@ JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
 SLIDES = 0.1
 """[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: it never meets skin
-farther off."""
-AHEAD, TURNS = 0.05, 0.1
-"""[m] Cloth is turned around where skin that faces it is so near; and by which skin that faces otherwise counts as
 farther off."""
 SEES = 0.25
 """Cosine with both normals at rest, of places on different limbs that may touch."""
@@ -98,14 +96,13 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         return {}
     (drape,) = drape_poses(bound, [(bound.dof_rest, UPRIGHT_GRAVITY)], precision="fp32")
     drape = drape.astype(np.float64)
+    turned = turned_cloth(drape, bound.faces, avatar)
+    drape[turned, 3:] *= -1
     samples, detail_samples = _samples(bound, drape)
-    turned = _turned(drape[samples], skin)
-    if turned.any():
-        drape[_turned(drape, skin), 3:] *= -1
     between = _between(bound, drape, samples)
     sides = _sides(*np.split(drape[samples], 2, axis=1), skin, parts)
     sampled = _sampled(bound, samples)
-    sampled["contact_normals"][turned] *= -1
+    sampled["contact_normals"][turned[samples]] *= -1
     touching = _touching(drape[samples], sampled["contact_detail_nodes"], skin, parts)
     skin, sides = _met(skin, sides)
     fields = {
@@ -132,16 +129,6 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         "contact_hangs": free * free * (3 - 2 * free),
         "touching_gaps": np.minimum(of_touching, OWN_GAP),
     }
-
-
-def _turned(drape: np.ndarray, skin: Skin) -> np.ndarray:
-    """(s,) bool, of cloth (s, 6): the outside faces the body, as that of a collar's fall or a lapel does, so that skin
-    faces it and none lies behind it. At an armpit a sleeve faces the trunk, but has its arm behind."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(np.concatenate([skin.points, TURNS * skin.normals], axis=1))
-    behind, ahead = (tree.query(drape * [1, 1, 1, *[side * TURNS] * 3])[0] for side in (1, -1))
-    return (ahead < AHEAD) & (behind > 3 * ahead)
 
 
 def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) -> dict[str, np.ndarray]:
