@@ -104,11 +104,12 @@ def load_landmarks(
             raise ContentError(f"its confidence has shape {np.shape(confidence)}; expected {points.shape[:2]}")
         points = np.where((np.asarray(confidence) < LEAST_CONFIDENCE)[..., None], np.nan, points[:, :, :3])
         names = clip.get("names") if names is None else names
-        if guessed := names is None:
+        guessed = ""
+        if names is None:
             sets = [each for each, known in LANDMARK_SETS.items() if len(known["names"].split()) == points.shape[1]]
             if len(sets) != 1:
                 raise ContentError(f"{points.shape[1]} points need names, such as {' or '.join(sets or LANDMARK_SETS)}")
-            names = sets[0]
+            names = guessed = sets[0]
         axes = axes or clip.get("axes")
         seen = points[np.isfinite(points).all(axis=2)]
         if len(seen) and 0 < seen[:, :2].min() < seen[:, :2].max() < 1 and seen[:, 2].min() < 0:
@@ -118,7 +119,7 @@ def load_landmarks(
             stands, mirrored = reader.facing(points)
             way = np.abs(stands).argmax()
             if axes is None and guessed and (way == 0 or stands[way] < 0):  # who is on the side may lie
-                names = LANDMARK_SETS[names]["names"].split()
+                names = LANDMARK_SETS[guessed]["names"].split()
                 return load_landmarks(path, names=names, renamed=renamed, rate_hz=rate_hz)
             if axes is None and not isinstance(names, str):
                 reader = LandmarkReader(names, axes=STANDING[way][int(stands[way] < 0)], renamed=renamed)
@@ -211,14 +212,14 @@ def _number(cell: str) -> float:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    clip = read_json(read_bytes(path, most=LARGEST))
-    clip = dict(clip) if isinstance(clip, dict) else {"frames": clip}
+    content = read_json(read_bytes(path, most=LARGEST))
+    clip: dict[str, Any] = dict(content) if isinstance(content, dict) else {"frames": content}
     if not isinstance(clip.get("frames"), list) or not clip["frames"]:
         raise ContentError("it has no list of frames")
     frames = [each if isinstance(each, dict) and "points" in each else {"points": each} for each in clip["frames"]]
     if all("time" in frame for frame in frames):
         clip["times"] = [float(frame["time"]) for frame in frames]
-    points = [frame["points"] or [] for frame in frames]  # none where nobody is seen
+    points: list[Any] = [frame["points"] or [] for frame in frames]  # none where nobody is seen
     if all(isinstance(each, dict) for each in points if each):
         clip["names"] = list(dict.fromkeys(name for each in points for name in each)) or clip.get("names")
         _check_count(len(clip["names"] or ()))

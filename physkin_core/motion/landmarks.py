@@ -120,7 +120,8 @@ class LandmarkReader:
         self._seen_at, self._trust, self._hinges = np.full(bones, -np.inf), np.zeros(bones), dict[str, np.ndarray]()
         self._positions, self._root = self._rig.rest.copy(), np.eye(3)
         self._place, self._floor = np.array([0.0, 0.0, 0.914]), np.nan
-        self.status, self.lost = "lost", ("trunk",)
+        self.status = "lost"
+        self.lost: tuple[str, ...] = ("trunk",)
 
     def read(
         self, points: np.ndarray, confidence: np.ndarray | None = None, *, time_s: float

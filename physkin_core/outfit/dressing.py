@@ -16,13 +16,13 @@ from physkin_core.model.surface_paths import HEM
 from physkin_core.native_module import native
 from physkin_core.outfit.layer_order import bind_layer_order
 from physkin_core.outfit.tuck import tucked_depths
-from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.runtime.binding import bind_garment, draping
 from physkin_core.runtime.evaluator import drape_poses
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_core.runtime.garment_on_body import checked_fit
 from physkin_core.runtime.layer import Layer, WornGarment
 from physkin_core.runtime.rest_look import look_at_rest
+from physkin_core.runtime.turned_cloth import turned_cloth
 
 __all__ = ["MOST_LAYERS", "drapes", "put_on", "standing_out", "tuck_in"]
 

@@ -25,6 +25,7 @@ from physkin_core.rig.rig import Rig
 from physkin_core.runtime.bound_garment import BoundGarment
 from physkin_core.runtime.evaluator import Evaluator, drape_poses
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY, FrameInput
+from physkin_core.runtime.turned_cloth import turned_cloth
 
 __all__ = ["meeting_skin"]
 
@@ -50,9 +51,6 @@ JOINED = 0.1
 """[m] Within this at rest sleeve and trunk go over into each other, and so do trunk and upper arm."""
 SLIDES = 0.1
 """[m] Cloth slides so far along the skin beneath, and three times as far as it hangs off it: it never meets skin
-farther off."""
-AHEAD, TURNS = 0.05, 0.1
-"""[m] Cloth is turned around where skin that faces it is so near; and by which skin that faces otherwise counts as
 farther off."""
 SEES = 0.25
 """Cosine with both normals at rest, of places on different limbs that may touch."""
@@ -98,14 +96,13 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
         return {}
     (drape,) = drape_poses(bound, [(bound.dof_rest, UPRIGHT_GRAVITY)], precision="fp32")
     drape = drape.astype(np.float64)
+    turned = turned_cloth(drape, bound.faces, avatar)
+    drape[turned, 3:] *= -1
     samples, detail_samples = _samples(bound, drape)
-    turned = _turned(drape[samples], skin)
-    if turned.any():
-        drape[_turned(drape, skin), 3:] *= -1
     between = _between(bound, drape, samples)
     sides = _sides(*np.split(drape[samples], 2, axis=1), skin, parts)
     sampled = _sampled(bound, samples)
-    sampled["contact_normals"][turned] *= -1
+    sampled["contact_normals"][turned[samples]] *= -1
     touching = _touching(drape[samples], sampled["contact_detail_nodes"], skin, parts)
     skin, sides = _met(skin, sides)
     fields = {
@@ -134,16 +131,6 @@ def meeting_skin(bound: BoundGarment, avatar: Avatar, rig: Rig) -> dict[str, Any
     }
 
 
-def _turned(drape: np.ndarray, skin: Skin) -> np.ndarray:
-    """(s,) bool, of cloth (s, 6): the outside faces the body, as that of a collar's fall or a lapel does, so that skin
-    faces it and none lies behind it. At an armpit a sleeve faces the trunk, but has its arm behind."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(np.concatenate([skin.points, TURNS * skin.normals], axis=1))
-    behind, ahead = (tree.query(drape * [1, 1, 1, *[side * TURNS] * 3])[0] for side in (1, -1))
-    return (ahead < AHEAD) & (behind > 3 * ahead)
-
-
 def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) -> dict[str, np.ndarray]:
     """Fields touching_... of `BoundGarment` but gaps: samples whose outsides see those of another limb at rest, or an
     arm and the trunk each other's, and those that lie over each other as they were made. Cloth that hangs waves: of its
@@ -160,11 +147,15 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     at, facing = np.split(drape, 2, axis=1)
     off, nearest = cKDTree(skin.points).query(at)
     limbs, arm = parts.limb[skin.part[nearest]], parts.arm[skin.part[nearest]]
-    groups = []
-    for limb in np.unique(limbs):
-        own = limbs == limb
-        others = ~own & (arm | arm[own].any() | ((limbs >= 0) & (limb >= 0)))
-        groups.append(_seeing(drape, np.flatnonzero(own & (off < HANGS)), np.flatnonzero(others)))
+
+    def press(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (limbs[a] != limbs[b]) & (arm[a] | arm[b] | (np.minimum(limbs[a], limbs[b]) >= 0))
+
+    groups, of_limbs = [], [np.flatnonzero(limbs == limb) for limb in np.unique(limbs)]
+    for of_limb in of_limbs:
+        own, others = of_limb[off[of_limb] < HANGS], [other for other in of_limbs if press(of_limb[0], other[0])]
+        sight = np.max([_sight(drape, own, other) for other in others] or np.zeros((1, len(own))), axis=0)
+        groups.append(own[(-sight).argsort(kind="stable")[: (sight > SEES).sum() // size * size]])
     first, second = cKDTree(at).query_pairs(OVERLAP, output_type="ndarray").T
     far = ~(nodes[first][:, :, None] == nodes[second][:, None]).any(axis=(1, 2))
     first, second = (of[far & ((facing[first] * facing[second]).sum(axis=1) > 0.5)] for of in (first, second))
@@ -175,25 +166,21 @@ def _touching(drape: np.ndarray, nodes: np.ndarray, skin: Skin, parts: Parts) ->
     samples = np.concatenate(groups).astype(np.int32)
     kind = np.repeat(np.arange(len(groups)), [len(group) // size for group in groups])
     a, b = np.meshgrid(kind, kind, indexing="ij")
-    over, limb, arm = len(groups) - 2, limbs[samples[::size]], arm[samples[::size]]
-    presses = (limb[:, None] != limb) & (arm[:, None] | arm | ((limb[:, None] >= 0) & (limb >= 0)))
-    sides = np.where(presses & (a < over) & (b < over), PRESSES, 0)
+    over, blocks = len(groups) - 2, samples[::size]
+    sides = np.where(press(blocks[:, None], blocks) & (a < over) & (b < over), PRESSES, 0)
     sides = np.where((a == over) & (b == over + 1), BENEATH, np.where((a == over + 1) & (b == over), OVER, sides))
     return {"touching_samples": samples, "touching_sides": sides.astype(np.int32)} if sides.any() else none
 
 
-def _seeing(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Of samples `own`, whole blocks of those that see blocks of the others before their outside and are seen."""
+def _sight(drape: np.ndarray, own: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """How well samples `own` see a block of the others before their outside and are seen: the lower cosine (k,)."""
     size: int = native.constants["block"]
-    if not len(others):
-        return others
     others = others[_blocks_of_cloth(drape[others])]
     first = np.arange(0, len(others), size)
     blocks = np.add.reduceat(drape[others], first) / np.diff(first, append=len(others))[:, None]
     apart = unit(blocks[:, :3] - drape[own, None, :3])
     cosines = (apart * drape[own, None, 3:]).sum(axis=2), -(apart * unit(blocks[:, 3:])).sum(axis=2)
-    sight = np.minimum(*cosines).max(axis=1)
-    return own[(-sight).argsort(kind="stable")[: (sight > SEES).sum() // size * size]]
+    return np.minimum(*cosines).max(axis=1)
 
 
 def _met(skin: Skin, sides: np.ndarray) -> tuple[Skin, np.ndarray]:

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <set>
 #include <vector>
 
 #include "evaluator/skinner.hpp"
@@ -99,8 +98,8 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
             arena.take<float>(std::size_t(kSkinBlock * skin_rooms_ * kBlock))},
       own_count_(g.touching),
       own_{own_count_ / kBlock, (own_count_ / kBlock + kBlock - 1) / kBlock * kBlock,
-           arena.take<float>(std::size_t(kSkinRow * own_count_))},
-      own_samples_(arena.copy(g.touching_samples, std::size_t(own_count_))),
+           arena.copy(g.touching_samples, std::size_t(own_count_)), rows_,
+           arena.take<float>(6 * std::size_t(own_count_))},
       own_gaps_(arena.copy(g.touching_gaps, std::size_t(own_count_))),
       hangs_(arena.copy(g.contact_hangs, std::size_t(samples_))),
       garment_nodes_(g.nodes, g.contact.influences, joined(g.contact.influence_nodes, samples_ * g.contact.influences),
@@ -122,8 +121,8 @@ Contact::Contact(const BoundGarment& g, const Kernels& kernels, Arena& arena)
     }
   }
   sides_ = sides;
-  own_.spheres = arena.take<float>(4 * std::size_t(own_.rooms));
-  own_.listed = arena.take<std::int32_t>(std::size_t(own_count_));
+  own_.boxes = arena.take<float>(6 * std::size_t(own_.rooms));
+  own_.listed = arena.take<float>(std::size_t(kSkinRow * own_count_));
   auto* own_sides = arena.take<std::int16_t>(std::size_t(own_.count * own_.rooms));
   for (int k = 0; k < own_.count * own_.count; ++k) {
     own_sides[k / own_.count * own_.rooms + k % own_.count] = std::int16_t(g.touching_sides[k]);
@@ -146,12 +145,14 @@ void Contact::find_samples_around(Arena& arena) {
     sample_of[nodes[at]] = at / each;
   }
   sample_of_ = sample_of;
-  std::vector<std::set<std::int32_t>> blocks(static_cast<std::size_t>(samples_));
+  std::vector<std::vector<std::int32_t>> blocks(static_cast<std::size_t>(samples_));
   for (int at = each * samples_; at < each * (samples_ + between_); ++at) {
-    if (weights[at] > 0) blocks[std::size_t(sample_of[nodes[at]])].insert((at / each - samples_) / kBlock);
+    std::vector<std::int32_t>& of_sample = blocks[std::size_t(sample_of[nodes[at]])];
+    const int block = (at / each - samples_) / kBlock;
+    if (weights[at] > 0 && (of_sample.empty() || of_sample.back() != block)) of_sample.push_back(block);
   }
   std::vector<std::int32_t> starts{0}, around;
-  for (const std::set<std::int32_t>& of_sample : blocks) {
+  for (const std::vector<std::int32_t>& of_sample : blocks) {
     around.insert(around.end(), of_sample.begin(), of_sample.end());
     starts.push_back(std::int32_t(around.size()));
   }
@@ -170,7 +171,7 @@ const float* Contact::keep_out(const SkinBlocks& skin, float* node_transforms, c
   if (move(garment_nodes_, has_detail ? hangs_ : nullptr)) move_garment_nodes(node_transforms);
   if (!has_detail) return offsets;
   look_between(skin);
-  meet_itself([this](int own, int place) { list(own_samples_[own], place, own_gaps_[own], kOwnShare); });
+  meet_itself([this](int own, int place) { list(own_.samples[own], place, own_gaps_[own], kOwnShare); });
   if (!move(detail_nodes_, nullptr)) return offsets;
   std::copy_n(offsets, 3 * detail_nodes_.count, offsets_);
   for (int node = 0; node < detail_nodes_.count; ++node) {
@@ -238,9 +239,6 @@ void Contact::list(int sample, int place, float gap, float share) noexcept {
 template <class Met>
 void Contact::meet_itself(Met met) noexcept {
   if (own_.count == 0) return;
-  for (int k = 0; k < own_count_; ++k) {
-    std::copy_n(rows_ + kSkinRow * own_samples_[k], kSkinRow, own_.rows + kSkinRow * k);
-  }
   kernels_.bound_cloth(own_);
   for (int block = 0; block < own_.count; ++block) {
     if (!kernels_.meet_cloth(own_, block, own_sides_ + block * own_.rooms, planes_)) continue;

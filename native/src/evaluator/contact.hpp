@@ -99,12 +99,11 @@ class Contact {
   float *matrices_, *rows_;           // (nodes, 3, 4), and (samples, kSkinRow) where they put samples: x, y, z, normal
   float *between_rows_, *planes_;
   ContactRoom room_;
-  int own_count_;                    // of samples that may touch far places of the cloth
-  ClothBlocks own_;                  // these
-  const std::int32_t* own_samples_;  // (own count,)
-  const std::int16_t* own_sides_;    // (own blocks, rooms)
-  const float* own_gaps_;            // (own count,) [m]
-  const float* hangs_;               // (samples,) 0 to 1
+  int own_count_;                  // of samples that may touch far places of the cloth
+  ClothBlocks own_;                // these
+  const std::int16_t* own_sides_;  // (own blocks, rooms)
+  const float* own_gaps_;          // (own count,) [m]
+  const float* hangs_;             // (samples,) 0 to 1
   Movers garment_nodes_, detail_nodes_;
   const std::int32_t* sample_of_;            // (detail nodes,) the one that goes with each most
   float* most_;                              // (blocks between,) [m] that samples around lack

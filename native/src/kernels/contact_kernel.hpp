@@ -44,10 +44,11 @@ struct ClothLanes {
   Floats of[6][kClothRegisters];
 };
 
-inline ClothLanes as_lanes(const float* rows) {
+template <class RowOf>
+ClothLanes as_lanes(RowOf row_of) {
   ClothLanes cloth;
   for (int v = 0; v < kClothRegisters; ++v) {
-    const auto row = [&](int lane) { return rows + kSkinRow * (v * kLanes + lane); };
+    const auto row = [&](int lane) { return row_of(v * kLanes + lane); };
     Floats place[4], normal[4];
     load_columns(row, place);
     load_columns([&](int lane) { return row(lane) + 2; }, normal);
@@ -205,7 +206,7 @@ inline int nearest_blocks(const SkinBlocks& skin, const std::int16_t* sides, con
 inline bool meet_skin(const SkinBlocks& skin, const float* cloth_rows, const std::int16_t* sides,
                       const ContactRoom& room, float* planes) {
   constexpr float kFar = kContactReach * kContactReach;
-  const ClothLanes cloth = as_lanes(cloth_rows);
+  const ClothLanes cloth = as_lanes([&](int lane) { return cloth_rows + kSkinRow * lane; });
   const NearBlocks near = blocks_near(skin, sides, as_a_whole(cloth), room);
   if (near.free) return false;
   const int count = nearest_blocks(skin, sides, cloth, near, room);

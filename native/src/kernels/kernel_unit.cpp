@@ -13,6 +13,15 @@
 
 namespace physkin::PHYSKIN_ISA {
 
+// None in the module for browsers, which neither separates limbs nor encodes bodies.
+template <class Kernel>
+constexpr Kernel* unless_in_browser(Kernel* kernel) {
+#if defined(__EMSCRIPTEN__)
+  kernel = nullptr;
+#endif
+  return kernel;
+}
+
 extern const Kernels kernels;
 const Kernels kernels{
     PHYSKIN_TEXT(PHYSKIN_ISA),
@@ -22,14 +31,14 @@ const Kernels kernels{
      {dense<Int8Rows, false>, dense<Int8Rows, true>}},
     skin,
     ring_normals,
-    trunk_depth,
+    unless_in_browser(trunk_depth),
     meet_skin,
     bound_cloth,
     meet_cloth,
     oscillate,
-    token_linear,
-    token_norm,
-    token_attention,
+    unless_in_browser(token_linear),
+    unless_in_browser(token_norm),
+    unless_in_browser(token_attention),
 };
 
 }  // namespace physkin::PHYSKIN_ISA

@@ -151,10 +151,12 @@ struct ContactRoom {
 
 // Samples of cloth that may touch far places of its own, in blocks. Aligned.
 struct ClothBlocks {
-  int count = 0, rooms = 0;        // of blocks, and these with those that fill the last registers up
-  float* rows = nullptr;           // (count * kBlock, kSkinRow) as points of the skin
-  float* spheres = nullptr;        // (4, rooms) middles and radii [m]
-  std::int32_t* listed = nullptr;  // (count * kBlock,) room
+  int count = 0, rooms = 0;               // of blocks, and these with those that fill the last registers up
+  const std::int32_t* samples = nullptr;  // (count * kBlock,)
+  const float* rows = nullptr;            // (all samples, kSkinRow) as points of the skin
+  float* columns = nullptr;               // (6, count * kBlock) x, y, z [m] and normal
+  float* boxes = nullptr;                 // (6, rooms) lowest and highest x, y, z
+  float* listed = nullptr;                // (count * kBlock, kSkinRow) room
 };
 
 // Logarithm of how many times faster, or slower, a gate lets the oscillators of a sway network run at most.
@@ -195,8 +197,9 @@ struct Kernels {
   bool (*meet_skin)(const SkinBlocks& skin, const float* cloth, const std::int16_t* sides, const ContactRoom& room,
                     float* planes);
 
-  // Writes the spheres of blocks. Then, where one of these blocks is from those that it has a side for, as meet_skin;
-  // sides: (rooms,) 1 where they are beneath it, 2 where they lie over it, -1 where they press on it.
+  // Writes columns and boxes of blocks. Then, where one of these blocks is from those that it
+  // has a side for, as meet_skin; sides: (rooms,) 1 where they are beneath it, 2 where they lie over it, -1 where they press
+  // on it. False where it is clear of all of them.
   void (*bound_cloth)(const ClothBlocks& cloth);
   bool (*meet_cloth)(const ClothBlocks& cloth, int block, const std::int16_t* sides, float* planes);
 

@@ -21,9 +21,9 @@ from physkin_core.model.garment import vertex_normals
 from physkin_core.model.surface_paths import HEM
 from physkin_core.outfit.coverage import Cover, covered
 from physkin_core.outfit.tuck import DEEP, SLIDES, tucked_depths
-from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.quality import signed_distance
 from physkin_core.runtime.evaluator import Skinner
+from physkin_core.runtime.turned_cloth import turned_cloth
 
 
 @pytest.fixture(scope="module")
@@ -333,8 +333,8 @@ def test_an_open_front_is_no_waistband(worn):
 
 def test_turned_cloth_is_found_and_ends_at_its_fold(worn):
     """A lapel: cloth near the chest whose outside faces it. Where it is folded is its edge: what lies beside that is
-    seen. A patch of two fingers' width is a fold."""
-    for name in ("tshirt", "trousers"):
+    seen. A patch of two fingers' width is a fold. Sleeves face the trunk at armpits, but are nearer to their arms."""
+    for name in ("tshirt", "longsleeve", "trousers"):
         assert not worn(name).layers[0].turned.any()
     outfit = worn("tshirt")
     layer = outfit.layers[0]

@@ -328,14 +328,17 @@ def test_layers_of_the_cloth_keep_the_order_they_were_made_in():
     assert not len(contact._touching(cloth, np.zeros((32, 1), dtype=int), skin, LEGS)["touching_samples"])
 
 
-def test_cloth_whose_outside_faces_the_body_is_turned_around():
-    """A collar's fall is; its stand, and a sleeve whose armpit faces the trunk, are not."""
-    neck = block_of_cloth((0, 0, 0), (0, 1, 0))
-    stand, fall = neck + [0, 0.01, 0, 0, 0, 0], block_of_cloth((0, 0.02, 0), (0, -1, 0))
-    skin = skin_beneath(neck, part=[0])
-    assert not contact._turned(stand, skin).any() and contact._turned(fall, skin).all()
-    arm = skin_beneath(neck, fall, part=[0, 1])
-    assert not contact._turned(fall, arm).any()
+def test_cloth_whose_outside_faces_the_body_is_turned_around(tshirt, monkeypatch):
+    """As a collar's fall is: there, and only there, samples face the other way than their vertices."""
+    rest = tshirt.layer.rest
+    turned = rest[:, 2] > np.quantile(rest[:, 2], 0.9)
+    monkeypatch.setattr(contact, "turned_cloth", lambda *_: turned)
+    fields = meeting_skin(tshirt.bound, tshirt.avatar, tshirt.layer.model.rig)
+    number = {vertex.tobytes(): k for k, vertex in enumerate(tshirt.bound.vertices)}
+    samples = np.array([number[vertex.tobytes()] for vertex in fields["contact_vertices"]])
+    flipped = (fields["contact_normals"] * tshirt.bound.normals[samples]).sum(axis=1) < 0
+    np.testing.assert_array_equal(flipped, turned[samples])
+    assert 50 < flipped.sum() < len(samples) / 2
 
 
 def test_shipped_trousers_keep_their_legs_apart():

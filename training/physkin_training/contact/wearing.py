@@ -18,8 +18,8 @@ from physkin_core.avatar.body_model import BodyModel
 from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
-from physkin_core.outfit.turned_cloth import turned_cloth
 from physkin_core.rig.rig import Rig
+from physkin_core.runtime.turned_cloth import turned_cloth
 from physkin_training.contact.surface_queries import FARTHEST, BodySurface, covering_faces
 from physkin_training.contact.touching_places import TouchingPlaces, moved_with_skin
 from physkin_training.sampling.chosen_bodies import bodies_by_girth
