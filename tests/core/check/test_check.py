@@ -150,11 +150,11 @@ def test_likeness_names_the_pivot_that_is_elsewhere(avatar, tshirt):
 
 @pytest.mark.parametrize("group", ["children", "elders"])
 def test_children_and_elders_are_usual_bodies_of_their_stature(group, tshirt):
-    """Of each group the first three, whose shapes are within what is called usual."""
+    """Each is nearer to the average than the rarest of its kind, and none of its flesh is missing."""
     body = load_body_model()
     for coefficients in getattr(body, f"held_out_{group}")[:3]:
         found = likeness(avatar_from_body(body, coefficients), tshirt.rig)
-        assert found.shape_deviation < 2 and found.skin_distance_mm < 1 and found.pivot_distance_mm < 1
+        assert found.shape_deviation < 2.5 and found.skin_distance_mm < 1 and found.pivot_distance_mm < 1
 
 
 def test_overlap_is_that_of_parts_in_each_other(avatar, tshirt):

@@ -26,8 +26,8 @@ def bodies_by_girth(body_model: BodyModel, count: int, *, of: np.ndarray | None 
 
 
 def held_out_groups(body_model: BodyModel, count: int) -> dict[str, np.ndarray]:
-    """Shape coefficients (S, c) of at most `count` held-out bodies of each age, and of the leanest and stoutest thirds of
-    the adults. Raises ValueError where there are not so many adults."""
+    """Shape coefficients (S, c) of at most `count` held-out bodies of each age, and of the leanest and stoutest third
+    of the adults. Raises ValueError where there are not so many adults."""
     adults = body_model.held_out_bodies[:count]
     by_girth, third = adults[bodies_by_girth(body_model, count, of=adults)], -(-count // 3)
     return {
