@@ -360,4 +360,4 @@ def test_progress_is_shown_on_a_terminal(model, monkeypatch, capsys):
     monkeypatch.setattr("physkin_core.progress.PATIENCE", 0.0)
     evaluate_model(model, CPU, **options)
     shown = capsys.readouterr().err
-    assert f"measuring {model.name}: 12%, " in shown and " left" in shown and shown.endswith("\x1b[K")
+    assert f"measuring {model.name}: 4%, " in shown and " left" in shown and shown.endswith("\x1b[K")

@@ -21,7 +21,7 @@ def bodies_by_girth(body_model: BodyModel, count: int, *, of: np.ndarray | None 
         vertices = body_model.vertices(coefficients).astype(np.float64)
         a, b, c = vertices[body_model.faces].transpose(1, 0, 2)
         index.append((a * np.cross(b, c)).sum() / 6 / np.ptp(vertices[:, 2]) ** 2)
-    places = np.linspace(0, len(index) - 1, count) if count > 1 else np.array([len(index) / 2])
+    places = np.linspace(0, len(index) - 1, count) if count > 1 else np.array([(len(index) - 1) / 2])
     return np.argsort(index)[np.floor(places + 0.5).astype(int)].tolist()
 
 
