@@ -49,7 +49,7 @@ def test_shipped_garments_are_graded_without_folds_and_keep_their_ease(name):
 
 @pytest.mark.parametrize("name", ["tshirt", "trousers"])
 def test_children_wear_garments_in_their_size(name):
-    """Below 1.15 m, the smallest and others: no folds, nothing inside, and the ease that the garment has, in proportion.
+    """Below 1.15 m, the smallest and others: no folds, nothing inside, and the garment's ease, in proportion.
     Faces are a quarter to half as large: a garment at 0.55 to 0.7 of its scale."""
     garment = load_garment(GARMENTS / f"{name}.obj")
     statures = BODY.statures(BODY.held_out_children)
