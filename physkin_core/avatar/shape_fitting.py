@@ -44,7 +44,7 @@ BONE_DEVIATION = 0.01
 """[m] by which joints may be elsewhere: other rigs place them otherwise."""
 STRAY_BONE = 0.02
 """[m] distance of a joint from the body model's at which it counts a quarter."""
-SHAPE_WEIGHT = 0.02
+SHAPE_WEIGHT = 0.01
 OUTLIER = 0.03
 """[m] distance between matches that count a quarter of those that touch."""
 RADII = (0.12, 0.08, 0.05, 0.035, 0.025)

@@ -31,7 +31,7 @@ __all__ = [
 HEIGHT_RANGE = (0.5, 3.0)
 UNITS = {"decimetres": 0.1, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
 UNITS |= {"hectometres": 100.0, "kilometres": 1000.0}
-ADULT_SIZES = (1.2, 2.4)
+USUAL_SIZES = (0.95, 2.4)
 """[m] of the largest extent of a mesh that is taken to be in one of `UNITS`; none of these can be mistaken."""
 MOST_HEADING, MOST_LEAN = 3.0, 0.07
 """How far asymmetry turns a skeleton's heading [degrees], and how far trunk and legs both lean one way [radians] by
@@ -143,7 +143,7 @@ def _first_of_its_kind(rows: np.ndarray) -> np.ndarray:
 def unit_scale(vertices: np.ndarray) -> tuple[float, tuple[str, ...]]:
     """Metres per unit of a person's vertices (V, 3), guessed from the size, and a warning unless they are in metres."""
     size = float(np.ptp(vertices, axis=0).max())
-    low, high = ADULT_SIZES
+    low, high = USUAL_SIZES
     for unit, scale in UNITS.items():
         if not HEIGHT_RANGE[0] <= size <= HEIGHT_RANGE[1] and low <= size * scale <= high:
             return scale, (f"{size:.4g} units in size: taken to be in {unit}, {size * scale:.2f} m",)
@@ -156,8 +156,8 @@ def check_size(vertices: np.ndarray, source: str) -> None:
     low, high = HEIGHT_RANGE
     if not low <= height <= high:
         raise AvatarError(
-            f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m, or {ADULT_SIZES[0]} to "
-            f"{ADULT_SIZES[1]} m in {', '.join(UNITS)}; a plain mesh's rig file may say "
+            f"avatar {source} is {height:.4g} m high, allowed {low} to {high} m, or {USUAL_SIZES[0]} to "
+            f"{USUAL_SIZES[1]} m in {', '.join(UNITS)}; a plain mesh's rig file may say "
             '"scale": 0.01, "up": "Y", "forward": "Z"'
         )
 

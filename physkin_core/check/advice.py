@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from physkin_core.avatar.body_model import ADULT_STATURE
 from physkin_core.check.garment_check import VERDICTS, GarmentCheck, Verdict
 from physkin_core.check.likeness import Likeness
 
@@ -13,8 +14,8 @@ __all__ = ["OutfitCheck", "reason_and_advice"]
 HOLE_PERCENT, WIDE_HOLE_PERCENT = 0.1, 1.0
 """From here on holes are not good, and bad."""
 FAR_PIVOT_MM, FAR_SKIN_MM, FAR_SHAPE, FAR_LENGTH = 40.0, 10.0, 2.0, 1.25
-USUAL_HEIGHT, SMALL_HEIGHT = 1.7, 1.4
-"""[m] Bodies below the second are children's, or stylised."""
+USUAL_HEIGHT, KNOWN_HEIGHTS = 1.7, (0.9, 2.1)
+"""[m] Garments were made for bodies within the second: children of three years are as small."""
 MUCH_OVERLAP = 5.0
 """From here on a figure is what the reason is about."""
 
@@ -62,8 +63,12 @@ def reason_and_advice(found: OutfitCheck) -> tuple[str, str]:
     if found.overlap_percent > MUCH_OVERLAP and not found.limbs_apart:
         overlap = f"In everyday poses {found.overlap_percent:.0f} % of the skin is inside the body."
         return overlap, "Move arms and legs out of it: --separate-limbs."
-    if found.height < SMALL_HEIGHT:
-        return f"The body is {found.height:.2f} m tall, and garments were made for adults.", ""
+    low, high = KNOWN_HEIGHTS
+    if not low <= found.height <= high:
+        return f"The body is {found.height:.2f} m tall, and garments were made for {low} to {high} m.", ""
+    if found.height < ADULT_STATURE and not found.measured:
+        one_size = f"The body is a child's, {found.height:.2f} m tall, and garments in one size are an adult's."
+        return one_size, "Wear it made to measure: --fit 1."
     return _cause(found.known) or _where(worst), ""
 
 

@@ -97,6 +97,7 @@ def _report(outfit: Outfit, found: OutfitCheck) -> dict:
         "verdict": found.verdict,
         "reason": reason,
         "advice": advice,
+        "height_m": found.height,
         "likeness": asdict(found.known),
         "body_overlap_percent": found.overlap_percent,
         "garments": garments,
@@ -121,7 +122,8 @@ def _print(report: dict) -> None:
         )
     known = report["likeness"]
     print(
-        f"body: {known['shape_deviation']:.1f} standard deviations from the average adult (about 1 is usual)\n"
+        f"body: {report['height_m']:.2f} m tall, {known['shape_deviation']:.1f} standard deviations from the average "
+        "of that stature (about 1 is usual)\n"
         f"      most similar body that training knows: its skin is {known['skin_distance_mm']:.0f} mm away, joint "
         f"{known['pivot_bone']} {known['pivot_distance_mm']:.0f} mm, bone {known['longest_bone']} is "
         f"{known['longest_ratio']:.2f} times as long here\n"

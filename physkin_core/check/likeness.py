@@ -20,6 +20,8 @@ __all__ = ["Likeness", "body_overlap", "likeness"]
 
 MEASURED_POINTS = 2000
 """Skin points that are looked for inside other parts."""
+OF_THAT_STATURE = 64
+"""Training bodies nearest in stature that a shape is compared with."""
 UNDER_SKIN = 0.004
 """Depth [m] at which a point is asked how many layers of body it is in."""
 
@@ -28,7 +30,8 @@ UNDER_SKIN = 0.004
 class Likeness:
     """The avatar against the body of the body model that is most like it.
 
-    shape_deviation: its shape coefficients' root mean square, in those of the training bodies (1 is usual, 2 is rare).
+    shape_deviation: root mean square of its shape coefficients, from those of the average training body of its stature
+    and in standard deviations of such bodies (1 is usual, 2 is rare).
     skin_distance_mm: mean distance of the skin. longest_ratio, longest_bone: of the bone whose length differs most,
     avatar over body. pivot_distance_mm, pivot_bone: of the joint that lies farthest from where the body has it.
     """
@@ -50,8 +53,11 @@ def likeness(avatar: Avatar, rig: Rig) -> Likeness:
     ratio = own / np.maximum(np.linalg.norm(tails - heads, axis=1), 1e-6)
     longest = int(np.abs(np.log(np.maximum(ratio, 1e-6))).argmax())
     apart = np.linalg.norm(avatar.bone_heads - heads - laid.place, axis=1)
+    shorter = body.statures(body.train_bodies) - body.statures(laid.coefficients[None])
+    alike = body.train_bodies[np.abs(shorter).argsort()[:OF_THAT_STATURE]]
+    deviation = (laid.coefficients - alike.mean(axis=0)) / alike.std(axis=0)
     return Likeness(
-        shape_deviation=float(np.sqrt(np.mean((laid.coefficients / body.train_bodies.std(axis=0)) ** 2))),
+        shape_deviation=float(np.sqrt(np.mean(deviation**2))),
         skin_distance_mm=float(1000 * np.linalg.norm(laid.missing, axis=1).mean()),
         longest_ratio=float(ratio[longest]),
         longest_bone=rig.bone_names[longest],

@@ -3,6 +3,7 @@
 Every garment vertex is tied to the body near it on the garment maker's body. What the ties say is smoothed over the
 garment, with less trust in them the looser the cloth hangs there: widely, so that seams stay straight and a shirt does
 not take the shape of what it hides. Where the body would come through, cloth is then let out, and only there.
+A child's garment is the adult's at its scale before it is graded: it is looser than the body in proportion.
 
 Dimensions: `n` garment vertices, `V` body vertices, `c` shape coefficients. Metres, canonical pose.
 """
@@ -14,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel
 from physkin_core.model.garment import Garment, face_areas, vertex_normals
 
 __all__ = ["GarmentGrading"]
@@ -37,6 +38,8 @@ LOOSE = 0.03
 """Distance [m] to the body at which a vertex's ties count a quarter of what they do on the body."""
 FACING_AWAY = 0.02
 """What a tie to a part of the body that faces the other way counts, against one to a part that faces alike."""
+CHILD_STATURE = 1.15
+"""[m] From here down garments are at the scale of the body; from `ADULT_STATURE` up they are as they were made."""
 
 
 class GarmentGrading:
@@ -59,12 +62,19 @@ class GarmentGrading:
         """Displacement of the garment (n, 3) or (k, n, 3) [m] that grades it to one or k bodies with vertices (V, 3) or
         (k, V, 3) [m]."""
         surfaces = surface.reshape(-1, *self.template.shape)
-        moved = self._wide.smooth(self._tied(surfaces - self.template))
+        scale = self._scales(surfaces)[:, None, None]
+        moved = (scale - 1) * self.garment.vertices + self._wide.smooth(self._tied(surfaces - scale * self.template))
         places, outwards = self._tied(surfaces), self._outwards(surfaces)
         for _ in range(LETTING_OUT):
             lacking = self._needed - _along(self.garment.vertices + moved - places, outwards)
             moved = moved + self._close.smooth(GENEROUS * np.maximum(lacking, 0.0)[..., None] * outwards)
         return moved.reshape(*surface.shape[:-2], -1, 3)
+
+    def _scales(self, surfaces: np.ndarray) -> np.ndarray:
+        """(k,) of garments for bodies (k, V, 3): 1 for adults."""
+        stature = np.ptp(surfaces[..., 2], axis=1)
+        small = np.clip((ADULT_STATURE - stature) / (ADULT_STATURE - CHILD_STATURE), 0, 1)
+        return 1 + small * (stature / np.ptp(self.template[:, 2]) - 1)
 
     def _tied(self, fields: np.ndarray) -> np.ndarray:
         """(k, n, 3) what garment vertices are tied to of fields over bodies (k, V, 3)."""

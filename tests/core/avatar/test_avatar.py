@@ -42,10 +42,10 @@ def test_posed_vertices_follow_the_bones():
         avatar.posed_vertices(transforms[:-1])
 
 
-@pytest.mark.parametrize("coefficients", [np.zeros(31), np.full(32, np.nan), np.zeros((1, 32))])
+@pytest.mark.parametrize("coefficients", [np.zeros(47), np.full(48, np.nan), np.zeros((1, 48))])
 def test_bad_coefficients_are_refused(coefficients):
     """Shape coefficients must be as many as the model has, and finite."""
-    with pytest.raises(AvatarError, match="32 finite numbers"):
+    with pytest.raises(AvatarError, match="48 finite numbers"):
         avatar_from_body(BODY, coefficients)
 
 

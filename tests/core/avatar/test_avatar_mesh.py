@@ -213,7 +213,7 @@ def test_units(tmp_path, factor, unit):
 @pytest.mark.parametrize("factor", [4, 0.1])
 def test_implausible_sizes(tmp_path, factor):
     """The height found, the range allowed and what to write."""
-    with pytest.raises(AvatarError, match='allowed 0.5 to 3.0 m, or 1.2 to 2.4 m in decimetres.*"scale"') as caught:
+    with pytest.raises(AvatarError, match='allowed 0.5 to 3.0 m, or 0.95 to 2.4 m in decimetres.*"scale"') as caught:
         load_avatar(_write_person(tmp_path / "person.obj", vertices=T_VERTICES * factor), RIG)
     assert f"is {np.ptp(T_VERTICES[:, 2]) * factor:.4g} m high" in str(caught.value)
 

@@ -13,6 +13,7 @@ from physkin_core import (
     AvatarWarning,
     Draper,
     Outfit,
+    avatar_from_body,
     cli,
     load_avatar,
     load_body_model,
@@ -147,6 +148,15 @@ def test_likeness_names_the_pivot_that_is_elsewhere(avatar, tshirt):
     assert "upperarm01.L lies" in reason and advice == ""
 
 
+@pytest.mark.parametrize("group", ["children", "elders"])
+def test_children_and_elders_are_usual_bodies_of_their_stature(group, tshirt):
+    """Each is nearer to the average than the rarest of its kind, and none of its flesh is missing."""
+    body = load_body_model()
+    for coefficients in getattr(body, f"held_out_{group}")[:3]:
+        found = likeness(avatar_from_body(body, coefficients), tshirt.rig)
+        assert found.shape_deviation < 2.5 and found.skin_distance_mm < 1 and found.pivot_distance_mm < 1
+
+
 def test_overlap_is_that_of_parts_in_each_other(avatar, tshirt):
     """Thighs pulled up are in the belly; arms and legs apart are in nothing but their own creases."""
     rig = tshirt.rig
@@ -164,7 +174,10 @@ def test_overlap_is_that_of_parts_in_each_other(avatar, tshirt):
         ({"known": Likeness(0.5, 1.0, 1.5, "neck01", 5.0, "neck01")}, "neck01 is 1.50 times as long", ""),
         ({"known": Likeness(3.0, 1.0, 1.0, "neck01", 5.0, "neck01")}, "3.0 standard deviations", ""),
         ({"bare": ("the left thigh",)}, "no skin on the left thigh", "Wear what does not cover that."),
-        ({"height": 1.1}, "1.10 m tall, and garments were made for adults", ""),
+        ({"height": 0.7}, "0.70 m tall, and garments were made for 0.9 to 2.1 m", ""),
+        ({"height": 2.5}, "2.50 m tall, and garments were made for 0.9 to 2.1 m", ""),
+        ({"height": 1.1}, "Some cloth is under the skin at rest", ""),
+        ({"height": 1.1, "measured": False}, "The body is a child's, 1.10 m tall", "--fit 1"),
         ({"hole_percent": 0.7}, "0.7 % of what one sees is the inside", "Close the skin in a modelling tool"),
         ({"hole_percent": 0.7, "undressed": True}, "0.7 % of what one sees", "--own-clothes keep"),
         ({"garments": {"skirt": GarmentCheck(WELL, Everyday(0, 0, 1), 31.0)}}, "of skirt stands off by 31 mm", ""),

@@ -64,6 +64,25 @@ def test_cloth_bridges_dents_and_is_let_out_over_bumps(grading):
     assert np.abs(let_out[behind]).max() < 0.005
 
 
+def test_a_childs_garment_is_the_adults_at_its_scale(grading):
+    """Of an adult's shape 1.05 m tall, to the last bit; of one of usual size nothing is scaled."""
+    small = 1.05 / np.ptp(grading.template[:, 2])
+    graded = grading.garment.vertices + grading.measured(small * grading.template)
+    np.testing.assert_allclose(graded, small * grading.garment.vertices, atol=1e-9)
+    (child,) = grading.graded(BODY.held_out_children[BODY.statures(BODY.held_out_children).argmin()][None])
+    away = BodySurface(grading.template, BODY.faces).closest(grading.garment.vertices).distance
+    shape = BODY.vertices(BODY.held_out_children[BODY.statures(BODY.held_out_children).argmin()])
+    nearer = BodySurface(shape.astype(np.float64), BODY.faces).closest(child).distance
+    assert np.median(nearer) < 0.75 * np.median(away)
+
+
+def test_garments_change_gradually_with_stature(grading):
+    """A centimetre of stature changes no point by more than two, from children to adults."""
+    sizes = np.arange(1.0, 1.7, 0.01) / np.ptp(grading.template[:, 2])
+    graded = grading.measured(sizes[:, None, None] * grading.template)
+    assert np.linalg.norm(np.diff(graded, axis=0), axis=-1).max() < 0.02
+
+
 def test_nodes_are_graded_as_the_vertex_they_lie_on(grading):
     chosen = [3, 200, 77]
     np.testing.assert_array_equal(grading.closest_vertices(grading.garment.vertices[chosen] + 1e-4), chosen)

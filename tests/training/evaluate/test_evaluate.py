@@ -290,13 +290,28 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert main(["evaluate", str(tmp_path / "band.safetensors"), *arguments, *outputs, "--device", "cpu"]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     rows = {"model", "skinning", "fewer_influences", "tilted", "subspace_minimum", "minimum", "model_on_subset"}
-    assert set(scores) == rows | {"counts", "material", "energy_ratio", "weight_n", "motion", "made_to_measure"}
+    assert set(scores) == rows | {
+        "counts",
+        "material",
+        "energy_ratio",
+        "weight_n",
+        "motion",
+        "made_to_measure",
+        "groups",
+    }
+    assert set(scores["groups"]) == {"adults", "lean", "stout", "children", "elders"}
     on_subset = {"subspace_minimum", "minimum", "model_on_subset"}
     of_motion = {"model", "skinning", "fewer_influences", "jitter_ratio", "clips", "counts"}
     of_measured_motion = scores["made_to_measure"]["motion"]
     assert set(scores["motion"]) == set(of_measured_motion) == of_motion | on_subset
     scored = [(row, scores[row]) for row in rows]
     scored += [(row, motion[row]) for motion in (scores["motion"], of_measured_motion) for row in on_subset]
+    for sets in scores["groups"].values():
+        assert set(sets) == {"uniform", "everyday"}
+        assert set(sets["uniform"]) == set(sets["everyday"]) == FIGURES
+        assert sets["uniform"]["pairs"] == 2 and sets["everyday"]["pairs"] == 7
+    alike = {key: scores["groups"]["adults"]["uniform"][key] for key in FIGURES}
+    assert alike == pytest.approx({key: scores["made_to_measure"]["model"][key] for key in FIGURES})
     for row, figures in scored:
         more = {"converged_percent"} if row == "minimum" else set()
         assert set(figures) == FIGURES | more
@@ -308,7 +323,7 @@ def test_the_command_prints_a_table_and_writes_all_scores(model, tmp_path, capsy
     assert scores["energy_ratio"] == pytest.approx(ratio)
     assert table(scores).strip() in capsys.readouterr().out
     lines = {row[0]: row for row in rows_of(table(scores))}
-    assert len(lines) == len(rows) + 4 + len(on_subset) + len(("model", "skinning", "tilted")) + 4 + len(on_subset)
+    assert len(lines) == len(rows) + 4 + len(on_subset) + len(("model", "skinning", "tilted")) + 4 + len(on_subset) + 10
     for seen in ("skin_seen_percent", "in_itself_percent"):
         assert f"{of_measured_motion['model'][seen]:.3f}" in lines["the model, motion, made to measure"]
     assert "full-space minimum, subset of motion" in lines and "the model, jump, made to measure" in lines
@@ -345,4 +360,4 @@ def test_progress_is_shown_on_a_terminal(model, monkeypatch, capsys):
     monkeypatch.setattr("physkin_core.progress.PATIENCE", 0.0)
     evaluate_model(model, CPU, **options)
     shown = capsys.readouterr().err
-    assert f"measuring {model.name}: 12%, " in shown and " left" in shown and shown.endswith("\x1b[K")
+    assert f"measuring {model.name}: 4%, " in shown and " left" in shown and shown.endswith("\x1b[K")

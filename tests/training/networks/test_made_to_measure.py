@@ -15,6 +15,7 @@ from physkin_core.model.garment import face_areas
 from physkin_core.runtime.garment_grading import GarmentGrading
 from physkin_training.contact.surface_queries import BodySurface
 from physkin_training.networks.made_to_measure import MadeToMeasure
+from physkin_training.sampling.posed_bodies import BodySet
 from physkin_training.train.trainer import Trainer
 
 CPU = torch.device("cpu")
@@ -44,6 +45,25 @@ def test_shipped_garments_are_graded_without_folds_and_keep_their_ease(name):
         distance = BodySurface(BODY.vertices(coefficients), BODY.faces).closest(vertices).distance
         assert (distance < 0).mean() < 0.005
         assert np.abs(distance - maker)[maker < 0.03].mean() < 0.01
+
+
+@pytest.mark.parametrize("name", ["tshirt", "trousers"])
+def test_children_wear_garments_in_their_size(name):
+    """Below 1.15 m, the smallest and others: no folds, nothing inside, and the garment's ease, in proportion.
+    Faces are a quarter to half as large: a garment at 0.55 to 0.7 of its scale."""
+    garment = load_garment(GARMENTS / f"{name}.obj")
+    statures = BODY.statures(BODY.held_out_children)
+    children = BODY.held_out_children[statures.argsort()[:3]]
+    maker = BodySurface(BODY.vertices(BODY.garment_body), BODY.faces).closest(garment.vertices).distance
+    normals = face_normals(garment.vertices, garment.faces)
+    for coefficients, vertices in zip(children, GarmentGrading(garment, BODY).graded(children), strict=True):
+        scale = BODY.statures(coefficients[None])[0] / BODY.statures(BODY.garment_body[None])[0]
+        ratio = face_areas(vertices, garment.faces).sum() / garment.face_areas.sum()
+        assert 0.25 < ratio < 0.55
+        assert (normals * face_normals(vertices, garment.faces)).sum(axis=1).min() > 0.5
+        distance = BodySurface(BODY.vertices(coefficients), BODY.faces).closest(vertices).distance
+        assert (distance < 0).mean() < 0.005
+        assert np.abs(distance - scale * maker)[maker < 0.03].mean() < 0.01
 
 
 def face_normals(vertices, faces):
@@ -80,6 +100,16 @@ def test_plain_skinning_at_the_canonical_pose_is_the_graded_garment(trainer):
     np.testing.assert_array_equal(worn.node_positions[2], trainer.drape.node_positions(trainer.bodies)[1])
     np.testing.assert_array_equal(worn.rows, [3, 1, 0])
     np.testing.assert_allclose(trainer.fits.shapes[worn.rows], rest, atol=1e-6)
+
+
+def test_children_never_wear_one_size(trainer):
+    """Whatever is asked for, a child's rest shape is its own; an adult's is the template's unless made to measure."""
+    child = BODY.held_out_children[BODY.statures(BODY.held_out_children).argmin()]
+    bodies = BodySet(BODY, np.stack([BODY.held_out_bodies[0], child]), CPU)
+    fits = MadeToMeasure(trainer.garment, trainer.drape, bodies, BODY)
+    both = torch.arange(2)
+    for made, rows in ((False, [0, 2]), (True, [1, 2])):
+        assert fits.worn(both, torch.full((2,), made)).rows.tolist() == rows
 
 
 def test_a_fit_between_is_between(trainer):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from physkin_core.avatar.avatar import Avatar, avatar_from_body
-from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel
 from physkin_core.body_shape.limb_chains import find_limbs
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.model.surface_paths import openings
@@ -44,7 +44,7 @@ GOES_AROUND = 0.3
 FACES_ACROSS = 0.03
 """A limb has a far side where a face of the same part is this close [m] to the near one reflected in the bone."""
 POSED_BODIES = 32
-"""Training bodies of which the leanest and the stoutest show where a garment may touch itself."""
+"""Training bodies of which the leanest and the stoutest adults show where a garment may touch itself."""
 BAND_WIDTH = 0.03
 """Vertices this close [m] to the rim that holds the garment make up the band."""
 TO_THE_HEM, COLLAR = 0.4, 0.1
@@ -91,7 +91,8 @@ class Wearing:
     def of(cls, garment: Garment, body_model: BodyModel) -> Wearing:
         """Read off the garment maker's body. Raises ValueError for a garment without an opening."""
         some = body_model.train_bodies[:POSED_BODIES]
-        chosen = some[bodies_by_girth(body_model, min(2, len(some)), of=some)]
+        some = some[body_model.statures(some) > ADULT_STATURE]
+        chosen = some[bodies_by_girth(body_model, min(2, len(some)), of=some)] if len(some) else some
         made_on, *bodies = (avatar_from_body(body_model, body) for body in (body_model.garment_body, *chosen))
         return cls.on(garment, made_on, body_model.rig, bodies=bodies)
 

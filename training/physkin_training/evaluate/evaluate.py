@@ -34,6 +34,7 @@ from physkin_training.networks.made_to_measure import MadeToMeasure
 from physkin_training.physics.full_space_solver import FullSpaceSolver
 from physkin_training.physics.newton_solver import Solution
 from physkin_training.physics.physics_losses import Energies, PhysicsLosses
+from physkin_training.sampling.chosen_bodies import held_out_groups
 from physkin_training.sampling.evaluation_pairs import Pairs, motion_pairs, uniform_pairs
 from physkin_training.sampling.posed_bodies import BodySet, PosedBodies
 
@@ -48,6 +49,8 @@ MINIMUM_COST = 500
 LOOKED_AT, CROSSED = 32, 128
 """Pairs that cameras look at, and that are searched for cloth in itself, spread over all: some tenths of a second each,
 and some hundredths."""
+OF_A_GROUP = 512
+"""Pairs of each set, at most, on which a group of bodies is measured, spread over all."""
 MOTION_RATE = 60.0
 """Frames a second at which motion is measured; clips of another rate are resampled."""
 
@@ -68,8 +71,9 @@ class Batch:
 class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
-    bodies: how many, the first of the held-out ones; or the indices of which ones. fit: of the garment, as in `Draper`;
-    strains are against the rest shape at that fit. watch: is told of every batch how many measured pairs it was worth.
+    bodies: how many, the first of the held-out adults; or the indices of which ones. of: (S, c) shape coefficients of
+    other bodies than these. fit: of the garment, as in `Draper`; strains are against the rest shape at that fit. watch:
+    is told of every batch how many measured pairs it was worth.
     Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
     """
 
@@ -82,12 +86,13 @@ class Evaluation:
         poses: int,
         seed: int,
         batch: int = 64,
+        of: np.ndarray | None = None,
         fit: float | None = None,
         watch: Callable[[int], None] = lambda pairs: None,
     ) -> None:
         fit = checked_fit(model, fit)
         body_model = load_body_model()
-        held_out = body_model.held_out_bodies
+        held_out = body_model.held_out_bodies if of is None else of
         if isinstance(bodies, int):
             if not 1 <= bodies <= len(held_out):
                 raise ValueError(f"bodies must be 1 to {len(held_out)}, got {bodies}")
@@ -161,6 +166,13 @@ class Evaluation:
         pairs; of these, those in `only`."""
         rows = self._rows(self.uniform(upright=upright), only)
         return {name: figures.result() for name, figures in rows.items()}
+
+    def of_a_group(self, clips: Sequence[Motion]) -> dict[str, dict[str, float]]:
+        """The model on some of the pairs: `uniform`, and with clips `everyday`, of their frames."""
+        sets = {"uniform": self.uniform(upright=True)}
+        if clips:
+            sets["everyday"] = Pairs.joined([self.frames(clip) for clip in clips])
+        return {name: self._rows(pairs.spread(OF_A_GROUP), ["model"])["model"].result() for name, pairs in sets.items()}
 
     def frames(self, motion: Motion) -> Pairs:
         """Every frame of a clip with every body, body by body."""
@@ -342,12 +354,15 @@ def evaluate_model(
     """All rows of one model as plain data; on a terminal, progress is shown meanwhile.
 
     minimum: pairs for the minima, uniform ones and as many of motion, in one size and made to measure, 0 to leave them
-    out. motions: clips for the rows on motion. `energy_ratio`: model / full-space minimum.
+    out. motions: clips for the rows on motion. `energy_ratio`: model / full-space minimum. `groups`: the model, made to
+    measure, on each of `held_out_groups`; all else is of adults.
     Raises ValueError for another rig than the body model's, impossible counts and clips that cannot be used.
     """
     clips = measured_clips(motions)
     frames = sum(clip.frame_count for clip in clips)
+    groups = held_out_groups(load_body_model(), bodies)
     measured = 2 * bodies * (2 * poses + frames)
+    measured += sum(min(OF_A_GROUP, len(of) * each) for of in groups.values() for each in (poses, frames))
     minimised = min(minimum, bodies * poses) + 2 * min(minimum, bodies * frames)
     batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
     watch = counting_line(f"measuring {model.name}", measured + MINIMUM_COST * minimised)
@@ -366,6 +381,10 @@ def evaluate_model(
         made["motion"] = fitted.motion(clips)
         made["motion"]["model"] |= fitted.skin_seen(every_frame) | fitted.in_itself(every_frame)
     scores["made_to_measure"] = made
+    scores["groups"] = {}
+    for name, of in groups.items():
+        of_group = Evaluation(model, device, **given | {"bodies": len(of)}, of=of, fit=1.0)
+        scores["groups"][name] = of_group.of_a_group(clips)
     scores["weight_n"] = float(model.garment.vertex_areas.sum() * model.material.density * STANDARD_GRAVITY)
     if clips:
         scores["motion"] = evaluation.motion(clips)

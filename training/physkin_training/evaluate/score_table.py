@@ -37,6 +37,7 @@ OUTFIT_COLUMNS = {
     "added_jitter_ratio": "jitter x",
     "hidden_vertices_percent": "hidden %",
 }
+SETS = {"uniform": "any pose", "everyday": "everyday"}
 ROWS = {
     "skinning": "plain skinning",
     "model": "the model",
@@ -61,6 +62,8 @@ def table_cells(scores: Mapping) -> list[list]:
     made = scores.get("made_to_measure", {})
     made_rows = {label: made[row] for row, label in ROWS.items() if row in made} | _motion_rows(made.get("motion"))
     rows |= {f"{label}, made to measure": figures for label, figures in made_rows.items()}
+    for group, sets in scores.get("groups", {}).items():
+        rows |= {f"{group}, {SETS[name]}, made to measure": figures for name, figures in sets.items()}
     cells = [[label, *(figures.get(column) for column in COLUMNS)] for label, figures in rows.items()]
     return [["", *COLUMNS.values()], *cells]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel
 from physkin_core.model.garment import Garment
 from physkin_core.runtime.garment_grading import GarmentGrading
 from physkin_training.networks.draping import Drape, RestShape
@@ -54,6 +54,8 @@ class MadeToMeasure:
         self._nodes = drape.node_rest + torch.as_tensor(moved, dtype=torch.float32, device=device)
         carried = drape.node_positions(bodies)
         self._row = torch.as_tensor(1 + row, device=device)
+        self._small = torch.aminmax(bodies.vertices[..., 2], dim=1)
+        self._small = self._small.max - self._small.min < ADULT_STATURE
         graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[self._row]
         self.node_positions = torch.cat([carried, graded])
 
@@ -62,7 +64,9 @@ class MadeToMeasure:
         return self.shapes[int(self._row[body])]
 
     def worn(self, body: torch.Tensor, made: torch.Tensor) -> Worn:
-        """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure."""
+        """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure; what bodies wear
+        that are smaller than adults always is."""
+        made = made | self._small[body]
         rows = torch.where(made, self._row[body], 0)
         positions = self.node_positions[body + made * len(self._row)]
         return Worn(rows, positions, RestShape(self._vertices[rows], self._nodes[rows]))

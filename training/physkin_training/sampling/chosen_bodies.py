@@ -1,4 +1,4 @@
-"""Which bodies stand for all of them: from the leanest to the stoutest."""
+"""Which bodies stand for all of them: from the leanest to the stoutest, and of each age."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import BodyModel
 
-__all__ = ["bodies_by_girth"]
+__all__ = ["bodies_by_girth", "held_out_groups"]
 
 
 def bodies_by_girth(body_model: BodyModel, count: int, *, of: np.ndarray | None = None) -> list[int]:
@@ -21,5 +21,19 @@ def bodies_by_girth(body_model: BodyModel, count: int, *, of: np.ndarray | None 
         vertices = body_model.vertices(coefficients).astype(np.float64)
         a, b, c = vertices[body_model.faces].transpose(1, 0, 2)
         index.append((a * np.cross(b, c)).sum() / 6 / np.ptp(vertices[:, 2]) ** 2)
-    places = np.linspace(0, len(index) - 1, count) if count > 1 else np.array([len(index) / 2])
+    places = np.linspace(0, len(index) - 1, count) if count > 1 else np.array([(len(index) - 1) / 2])
     return np.argsort(index)[np.floor(places + 0.5).astype(int)].tolist()
+
+
+def held_out_groups(body_model: BodyModel, count: int) -> dict[str, np.ndarray]:
+    """Shape coefficients (S, c) of at most `count` held-out bodies of each age, and of the leanest and stoutest third
+    of the adults. Raises ValueError where there are not so many adults."""
+    adults = body_model.held_out_bodies[:count]
+    by_girth, third = adults[bodies_by_girth(body_model, count, of=adults)], -(-count // 3)
+    return {
+        "adults": adults,
+        "lean": by_girth[:third],
+        "stout": by_girth[-third:],
+        "children": body_model.held_out_children[:count],
+        "elders": body_model.held_out_elders[:count],
+    }

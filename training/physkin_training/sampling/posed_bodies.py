@@ -242,5 +242,7 @@ def posed_avatar(avatar: Avatar, rig: Rig, samples: int, device: torch.device) -
         garment_body=none[0],
         train_bodies=none,
         held_out_bodies=none,
+        held_out_children=none,
+        held_out_elders=none,
     )
     return PosedBodies(model, BodySet(model, none, device), samples)

@@ -1,4 +1,4 @@
-"""The bodies of a training run: adults as they are, and some of them with something worn under the garment."""
+"""The bodies of a training run: of all ages as they are, and some of them with something worn under the garment."""
 
 from __future__ import annotations
 

@@ -67,9 +67,9 @@ class Trainer:
     its exponential moving average, `best` the average with the lowest `validation_energy` [J] (the last one measured),
     both None until pose range and influences are final, but for a run with a `start`, which is measured first.
     `started_from`: plain data on the run this one took its networks from, or None. `made` (S,): which bodies of a step
-    are worn made to measure.
+    are worn made to measure; small ones are in any case.
     garment, start: mesh and model that the run begins with; by default they are read from the files that the
-    configuration names. body_model: whose training bodies it takes, by default the shipped adults.
+    configuration names. body_model: whose training bodies it takes, by default those of all ages that are shipped.
     """
 
     def __init__(
