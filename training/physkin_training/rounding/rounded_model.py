@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 from physkin_core.avatar.avatar import avatar_from_body
-from physkin_core.avatar.body_model import BodyModel, load_body_model
+from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel, load_body_model
 from physkin_core.model.detail import Detail
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.hyper_modulator import BENDING_OCTAVES, bending_code
@@ -161,11 +161,12 @@ def _frames(
     device: torch.device | str,
     random: np.random.Generator,
 ) -> _Frames:
-    """Frames of training bodies, every second one made to measure."""
+    """Frames of training bodies, every second adult's and every child's made to measure."""
     rig, drapes = model.rig, [drape_from_model(each).to(device) for each in (model, rounded)]
+    small = body_model.statures(body_model.train_bodies) < ADULT_STATURE
     parts = []
-    for index, body in enumerate(random.choice(len(body_model.train_bodies), BODIES, replace=False)):
-        fit = float(index % 2)
+    for index, body in enumerate(random.choice(len(small), BODIES, replace=False)):
+        fit = float(index % 2 or small[body])
         avatar = avatar_from_body(body_model, body_model.train_bodies[body])
         worn = put_on_body(model, avatar, fit)
         positions, gravity = _poses(rig, random)
