@@ -7,12 +7,13 @@ Dimensions: `B` samples of a batch, `n` garment vertices, `m` garment nodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
 
+from physkin_core.avatar.avatar import avatar_from_body
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.check.sight import Cameras, Figure, Surface, what_shows, who_covers
 from physkin_core.model.garment import Garment
@@ -23,6 +24,7 @@ from physkin_core.progress import progress_line
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_core.runtime.garment_on_body import checked_fit
+from physkin_core.separation.limb_separator import LimbSeparator
 from physkin_training.contact.surface_queries import piercing_edges
 from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.rest_data import RestData
@@ -168,11 +170,20 @@ class Evaluation:
         return {name: figures.result() for name, figures in rows.items()}
 
     def of_a_group(self, clips: Sequence[Motion]) -> dict[str, dict[str, float]]:
-        """The model on some of the pairs: `uniform`, and with clips `everyday`, of their frames."""
-        sets = {"uniform": self.uniform(upright=True)}
+        """The model on some of the pairs: `uniform`, and with clips `everyday`, of their frames, and `separated`, the
+        same as they are worn where an avatar is drawn."""
+        sets = {"uniform": self.uniform(upright=True).spread(OF_A_GROUP)}
         if clips:
-            sets["everyday"] = Pairs.joined([self.frames(clip) for clip in clips])
-        return {name: self._rows(pairs.spread(OF_A_GROUP), ["model"])["model"].result() for name, pairs in sets.items()}
+            sets["everyday"] = Pairs.joined([self.frames(clip) for clip in clips]).spread(OF_A_GROUP)
+            sets["separated"] = self.separated(sets["everyday"])
+        return {name: self._rows(pairs, ["model"])["model"].result() for name, pairs in sets.items()}
+
+    def separated(self, pairs: Pairs) -> Pairs:
+        """The pairs with each body's limbs moved out of its trunk and each other."""
+        avatars = (avatar_from_body(self._body_model, body) for body in self.bodies.coefficients)
+        separators = [LimbSeparator(self.model.rig, avatar) for avatar in avatars]
+        positions = [separators[body].separate(pose)[0] for pose, body in zip(pairs.positions.numpy(), pairs.body)]
+        return replace(pairs, positions=torch.as_tensor(np.stack(positions)))
 
     def frames(self, motion: Motion) -> Pairs:
         """Every frame of a clip with every body, body by body."""
@@ -362,7 +373,7 @@ def evaluate_model(
     frames = sum(clip.frame_count for clip in clips)
     groups = held_out_groups(load_body_model(), bodies)
     measured = 2 * bodies * (2 * poses + frames)
-    measured += sum(min(OF_A_GROUP, len(of) * each) for of in groups.values() for each in (poses, frames))
+    measured += sum(min(OF_A_GROUP, len(of) * each) for of in groups.values() for each in (poses, frames, frames))
     minimised = min(minimum, bodies * poses) + 2 * min(minimum, bodies * frames)
     batch = LARGEST_MEASURED if device.type == "cuda" else min(16, bodies * poses)
     watch = counting_line(f"measuring {model.name}", measured + MINIMUM_COST * minimised)

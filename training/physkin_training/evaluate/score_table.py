@@ -37,7 +37,7 @@ OUTFIT_COLUMNS = {
     "added_jitter_ratio": "jitter x",
     "hidden_vertices_percent": "hidden %",
 }
-SETS = {"uniform": "any pose", "everyday": "everyday"}
+SETS = {"uniform": "any pose", "everyday": "everyday", "separated": "everyday, limbs separated"}
 ROWS = {
     "skinning": "plain skinning",
     "model": "the model",
