@@ -102,14 +102,21 @@ def test_plain_skinning_at_the_canonical_pose_is_the_graded_garment(trainer):
     np.testing.assert_allclose(trainer.fits.shapes[worn.rows], rest, atol=1e-6)
 
 
-def test_children_never_wear_one_size(trainer):
-    """Whatever is asked for, a child's rest shape is its own; an adult's is the template's unless made to measure."""
+def test_children_never_wear_one_size(trainer, monkeypatch):
+    """Every second body of a step wears what is made to measure; of children all do, and the networks are told so."""
     child = BODY.held_out_children[BODY.statures(BODY.held_out_children).argmin()]
     bodies = BodySet(BODY, np.stack([BODY.held_out_bodies[0], child]), CPU)
     fits = MadeToMeasure(trainer.garment, trainer.drape, bodies, BODY)
-    both = torch.arange(2)
-    for made, rows in ((False, [0, 2]), (True, [1, 2])):
-        assert fits.worn(both, torch.full((2,), made)).rows.tolist() == rows
+    assert fits.small.tolist() == [False, True]
+    encoder, given = trainer.drape.networks.hyper_modulator, []
+    monkeypatch.setattr(
+        encoder, "forward", lambda *inputs: given.append(inputs[2]) or type(encoder).forward(encoder, *inputs)
+    )
+    for small in (False, True):
+        monkeypatch.setattr(trainer.fits, "small", torch.full_like(trainer.fits.small, small))
+        trainer.take_step()
+        worn = (trainer.losses.rest_row > 0).view(len(trainer.made), -1)
+        assert worn.all(dim=1).tolist() == given[-1].bool().tolist() == (trainer.made | small).tolist()
 
 
 def test_a_fit_between_is_between(trainer):

@@ -57,3 +57,10 @@ def test_a_fold_that_does_not_is_left_alone():
     garment = folded(through=-0.003)
     assert crossed(garment.vertices, garment) == 0
     assert np.array_equal(descended(garment, 1)[0], garment.vertices.astype(np.float32))
+
+
+def test_samples_skinned_for_engines_are_looked_at_too():
+    """The last eighth of each body's samples; a body has 8 on a CPU and 16 on a GPU."""
+    for samples in (8, 16):
+        looked_at = np.arange(0, 384, EVERY) % samples
+        assert np.isin(np.arange(samples - samples // 8, samples), looked_at).all()

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from physkin_training.contact.surface_queries import goes_through
 from physkin_training.quiet_warp import wp
 
-__all__ = ["faces_of_edges", "shorter_curve"]
+__all__ = ["faces_of_edges", "goes_through_face", "way_out"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,6 +30,27 @@ def shorter_curve(p: wp.vec3, edge: wp.vec3, normal: wp.vec3, opposite: wp.vec3)
     steep = wp.dot(edge, normal)
     steep = wp.where(steep < 0.0, wp.min(steep, -STEEP), wp.max(steep, STEEP))
     return along - (wp.dot(along, edge) / steep) * normal
+
+
+@wp.func
+def goes_through_face(mesh_id: wp.uint64, p: wp.vec3, q: wp.vec3, face: wp.int32):
+    """Whether the edge from p to q crosses a face of the mesh."""
+    mesh = wp.mesh_get(mesh_id)
+    a, b, c = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
+    return goes_through(p, q, mesh.points[a], mesh.points[b], mesh.points[c])
+
+
+@wp.func
+def way_out(mesh_id: wp.uint64, p: wp.vec3, q: wp.vec3, face: wp.int32, opposite: wp.vec2i):
+    """Unit vector in which the edge from p to q has to go, out of a face that it crosses. opposite: third corners of
+    the edge's faces, vertices of the mesh, or -1."""
+    mesh = wp.mesh_get(mesh_id)
+    edge, normal = wp.normalize(q - p), wp.mesh_eval_face_normal(mesh_id, face)
+    towards = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(2):
+        if opposite[k] >= 0:
+            towards += shorter_curve(p, edge, normal, mesh.points[opposite[k]])
+    return wp.normalize(towards)
 
 
 def faces_of_edges(faces: np.ndarray, face_edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

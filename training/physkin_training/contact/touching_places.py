@@ -13,7 +13,6 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 from trimesh.triangles import closest_point
 
 from physkin_core.avatar.avatar import Avatar
@@ -23,14 +22,15 @@ from physkin_core.rig.linear_blend_skinning import dense_weights
 from physkin_core.rig.rig import Rig
 from physkin_training.sampling.mirrored_poses import mirrored
 
-__all__ = ["FAR", "MEETS_WITHIN", "TouchingPlaces", "moved_with_skin"]
+__all__ = ["FAR", "FOLDED_FROM", "MEETS_WITHIN", "OVER", "TouchingPlaces", "moved_with_skin"]
 
 FAR = 0.15
 """[m] along the cloth from which on a vertex feels a place: what is nearer is mostly a fold of its own, whose sides
 cannot be told from how it hangs."""
 FOLDED_FROM, FOLDED = 0.045, 0.25
 """[m] along the cloth from which on a vertex feels a place that it was made upon, as the fall of a collar was upon its
-stand; and how near they were made, as a share of that."""
+stand; and how near they were made, as a share of that. Nearer along the cloth, faces around a place reach the vertex;
+less close, folds of skirts would count, which open."""
 SPACING, MEETS_WITHIN = 0.025, 0.04
 """[m] along the cloth to the nearest place, at most; in space to a place that is felt: its cloth may be 3 cm away."""
 MOST = 32
@@ -65,9 +65,7 @@ class TouchingPlaces:
     def find(cls, garment: Garment, shapes: Iterable[np.ndarray], inside_out: np.ndarray) -> TouchingPlaces:
         """Of cloth that may lie as in `shapes`, (n, 3) each. inside_out: (n,) bool, see `Wearing`."""
         made, faces = garment.vertices, garment.faces
-        place, owner, along = _spread(garment)
-        upon = (along >= FOLDED_FROM) & (cdist(made[place], made) < FOLDED * along)
-        felt = (along >= FAR) | upon
+        place, owner, felt = _spread(garment)
         score = csr_array((len(made), len(place)))
         for shape in shapes:
             tree = cKDTree(shape[place])
@@ -95,19 +93,20 @@ class TouchingPlaces:
 
 
 def _spread(garment: Garment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (P,) that are places; the place nearest to each vertex (n,); how far vertices are from each place along
-    the cloth (P, n) [m], infinitely where it is `FAR`."""
+    """Vertices (P,) that are places; the place nearest to each vertex (n,); which vertices feel each place
+    (P, n) bool."""
     n, ends = len(garment.vertices), garment.edges.T
     edges = np.tile(garment.edge_lengths, 2), np.hstack([ends, ends[::-1]])
     graph = coo_array(edges, shape=(n, n)).tocsr()
     nearest, owner = np.full(n, np.inf), np.zeros(n, dtype=int)
-    places, along = [], []
+    places, felt = [], []
     for vertex in range(n):
         if nearest[vertex] > SPACING:
-            length = dijkstra(graph, indices=vertex, limit=FAR)
+            length = dijkstra(graph, indices=vertex, limit=FAR)  # infinite beyond
             owner[length < nearest], nearest = len(places), np.minimum(length, nearest)
-            places.append(vertex), along.append(length)
-    return np.array(places), owner, np.array(along)
+            straight = np.linalg.norm(garment.vertices - garment.vertices[vertex], axis=1)
+            places.append(vertex), felt.append((length >= FOLDED_FROM) & (straight < FOLDED * length))
+    return np.array(places), owner, np.array(felt)
 
 
 def _sides(
@@ -118,9 +117,8 @@ def _sides(
     gap = made[vertex] - made[other]
     before, behind = (np.einsum("ki,ki->k", gap, normals[end]) for end in (other, vertex))
     opposed = np.einsum("ki,ki->k", normals[vertex], normals[other]) < 0
-    height = before + np.where(
-        opposed, -behind, behind
-    )  # of curved cloth what one has too little the other has too much
+    # Of curved cloth what one has too little the other has too much.
+    height = before + np.where(opposed, -behind, behind)
     lay = np.where((height < 0) & ~(opposed & (height > -2 * THROUGH)), -1, 1)
     meet = (outward[other] * before > 0) | (outward[vertex] * behind < 0)
     kind = np.where(outward[vertex] == outward[other], OUTSIDES_OPPOSED, OUTSIDES_ALIKE)

@@ -30,7 +30,8 @@ class DressedSamples:
     """Sample `s` is body `body[s]` in the garment.
 
     bodies: (S, c) shape coefficients of `body_model`. body: (B,) int64 into them. one_size: (S,) bool, bodies that
-    wear the template, the others what is made to measure; default none. Raises ValueError for another rig.
+    wear the template if they are not small, the others what is made to measure; default none. Raises ValueError for
+    another rig.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class DressedSamples:
         self.drape = drape_from_model(model).to(self.device).eval()
         fits = MadeToMeasure(model.garment, self.drape, self.body_set, body_model)
         template = torch.as_tensor(np.zeros(len(bodies), bool) if one_size is None else one_size, device=self.device)
+        template = template & ~fits.small
         self.worn = fits.worn(body, ~template[body])
         self.rest = RestData(model.garment, model.material, self.device, shapes=fits.shapes)
         surfaces = self.body_set.vertices.cpu().numpy()

@@ -134,14 +134,15 @@ def drape_from_model(model: GarmentModel) -> Drape:
 def network_config(model: GarmentModel) -> NetworkConfig:
     """Sizes of a garment model's networks."""
     blocks = sum(key.endswith(".norm.weight") and key.startswith("residual") for key in model.hyper_modulator)
+    hidden, *_, drapes, _ = [len(bias) for _, bias in (model.node_deformer[0], *model.node_deformer)]
     projections = [weight for weight, bias in model.pose_modulator if not len(bias)]
     return NetworkConfig(
         pose_hidden=len(model.pose_modulator[0][1]),
         pose_layers=len(model.pose_modulator) - len(projections) - 1,
         pose_rank=len(projections[0]) if projections else 0,
-        deformer_hidden=len(model.node_deformer[0][1]),
+        deformer_hidden=hidden,
         deformer_layers=len(model.node_deformer) - 1,
-        drapes=len(model.node_deformer[-2][1]),
+        drapes=0 if drapes == hidden else drapes,
         token_width=len(model.hyper_modulator["embed.bias"]),
         feed_forward=len(model.hyper_modulator["feed_forward.0.bias"]),
         residual_blocks=blocks,

@@ -35,6 +35,7 @@ class MadeToMeasure:
     """Row 0 of `shapes` (R, n, 3) float64, NumPy, is the template, the others are graded to the bodies: one for all of
     the same coefficients, whatever they wear under it, in the order of the first of these.
 
+    small: (S,) bool, bodies smaller than adults. Nobody trains on what they would wear at the template.
     fit: how far from the template to the graded shape, 0 to 1. `node_positions` (2 S, m, 3): of all bodies at the
     template, then of all made to measure. Garment nodes go from where their bones carry them to where the graded
     garment has them, and at fit 1 rest there, so that the graded garment at the canonical pose is its own rest shape.
@@ -54,8 +55,7 @@ class MadeToMeasure:
         self._nodes = drape.node_rest + torch.as_tensor(moved, dtype=torch.float32, device=device)
         carried = drape.node_positions(bodies)
         self._row = torch.as_tensor(1 + row, device=device)
-        self._small = torch.aminmax(bodies.vertices[..., 2], dim=1)
-        self._small = self._small.max - self._small.min < ADULT_STATURE
+        self.small = torch.as_tensor(body_model.statures(bodies.coefficients) < ADULT_STATURE, device=device)
         graded = (1 - fit) * (carried - drape.node_rest) + self._nodes[self._row]
         self.node_positions = torch.cat([carried, graded])
 
@@ -64,9 +64,7 @@ class MadeToMeasure:
         return self.shapes[int(self._row[body])]
 
     def worn(self, body: torch.Tensor, made: torch.Tensor) -> Worn:
-        """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure; what bodies wear
-        that are smaller than adults always is."""
-        made = made | self._small[body]
+        """What samples wear. body: (B,) int64 into the set. made: (B,) bool, whether made to measure."""
         rows = torch.where(made, self._row[body], 0)
         positions = self.node_positions[body + made * len(self._row)]
         return Worn(rows, positions, RestShape(self._vertices[rows], self._nodes[rows]))

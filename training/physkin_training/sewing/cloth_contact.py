@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from physkin_training.contact.contours import faces_of_edges, shorter_curve
-from physkin_training.contact.surface_queries import closest_on_face, goes_through
+from physkin_training.contact.contours import faces_of_edges, goes_through_face, way_out
+from physkin_training.contact.surface_queries import closest_on_face
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
 from physkin_training.quiet_warp import wp
 
@@ -173,15 +173,9 @@ def crossings_kernel(mesh_id: wp.uint64, sheets: Sheets):
         a, b, c = mesh.indices[3 * face], mesh.indices[3 * face + 1], mesh.indices[3 * face + 2]
         beside = are_joined(sheets, ends, wp.vec2i(a, b)) or are_joined(sheets, ends, wp.vec2i(c, c))
         if not beside and sheets.feel[sheets.panel[ends[0]], sheets.panel[a]]:
-            if goes_through(p, q, mesh.points[a], mesh.points[b], mesh.points[c]):
+            if goes_through_face(mesh_id, p, q, face):
                 sheets.face[e] = face
-                edge, normal = wp.normalize(q - p), wp.mesh_eval_face_normal(mesh_id, face)
-                towards = wp.vec3(0.0, 0.0, 0.0)
-                for k in range(2):
-                    opposite = sheets.opposite[e][k]
-                    if opposite >= 0:
-                        towards += shorter_curve(p, edge, normal, mesh.points[opposite])
-                sheets.towards[e] = wp.normalize(towards)
+                sheets.towards[e] = way_out(mesh_id, p, q, face, sheets.opposite[e])
                 sheets.tangled[ends[0]] = True
                 sheets.tangled[ends[1]] = True
                 sheets.tangled[a] = True

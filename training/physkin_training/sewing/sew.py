@@ -118,7 +118,7 @@ def sewn(
     cloth = _Cloth(garment, material, body, garment.vertices, cut, np.unique(vertex, return_index=True)[1], vertex)
     hanging = garment.vertices
     for _ in range(CALMING):
-        before, hanging = hanging, cloth.step(1.0, seconds=CALM_STEP)
+        before, hanging = hanging, cloth.step(1.0, seconds=CALM_STEP, momentum=MOMENTUM)
         watch(hanging, garment.faces, avatar.vertices)
         if np.linalg.norm(hanging - before, axis=1).max() < STILL:
             break
@@ -256,7 +256,7 @@ def _close(
         left = max(1 - count / SOFTENING, 0.0)
         cloth.bend_stiffer(CARDBOARD**left)
         shape = cloth.meets(arms.raised(arms.without_hands(skin, left), left))
-        yield cloth.step(1.0), shape
+        yield cloth.step(1.0, momentum=MOMENTUM), shape
 
 
 def _check_closed(cut: Cut, closed: np.ndarray) -> None:
@@ -332,11 +332,10 @@ class _Cloth:
         self._body.refit()
         return shape
 
-    def step(self, gravity: float, *, seconds: float = STEP) -> np.ndarray:
-        """One step under a share of gravity; vertices (n, 3)."""
+    def step(self, gravity: float, *, seconds: float = STEP, momentum: float = 0.0) -> np.ndarray:
+        """One step under a share of gravity, which goes on with a share of the last one's movement; vertices (n, 3)."""
         self._potential.time_step.seconds = seconds
-        onwards = MOMENTUM * (self._here - self._before) if gravity == 1.0 else 0.0
-        self._potential.begin(self._here, self._here + onwards)
+        self._potential.begin(self._here, self._here + momentum * (self._here - self._before))
         self._before = self._here
         for _ in range(LOOKS):
             self.contact.look(self._here)

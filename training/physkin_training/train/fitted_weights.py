@@ -69,7 +69,7 @@ def fitted_weights(
     model: GarmentModel, body_model: BodyModel, device: torch.device, *, steps: int | None = None
 ) -> GarmentModel:
     """The model with skinning weights, both sets, and weights of detail nodes for which its cloth is strained less, on
-    training bodies in poses as in training: every second one made to measure.
+    training bodies in poses as in training: every second one and all on small bodies made to measure.
 
     Raises ValueError for another rig than the body model's.
     """
@@ -133,7 +133,8 @@ def _batch(
 ) -> _Batch:
     """Of joint positions (B, d) [rad] and gravity (B, 3), on the bodies in turn. modulations: (2, S, s)."""
     sample = torch.arange(SAMPLES, device=positions.device)
-    body, made = sample % BODIES, sample // BODIES % 2 == 1
+    body = sample % BODIES
+    made = fits.small[body] | (sample // BODIES % 2 == 1)
     worn = fits.worn(body, made)
     nodes = drape.posed_nodes(posed.pose(positions, body), worn.node_positions)
     nodes, detail = drape.draped(modulations[made.long(), body], positions, gravity, nodes)

@@ -67,7 +67,7 @@ class Trainer:
     its exponential moving average, `best` the average with the lowest `validation_energy` [J] (the last one measured),
     both None until pose range and influences are final, but for a run with a `start`, which is measured first.
     `started_from`: plain data on the run this one took its networks from, or None. `made` (S,): which bodies of a step
-    are worn made to measure; small ones are in any case.
+    are worn made to measure, beside small ones.
     garment, start: mesh and model that the run begins with; by default they are read from the files that the
     configuration names. body_model: whose training bodies it takes, by default those of all ages that are shipped.
     """
@@ -332,12 +332,13 @@ class Trainer:
             chosen, positions, gravity, *surface = self.draw()
             body_index = chosen.repeat_interleave(per_body)
             bone_transforms = self.posed_bodies.pose(positions, body_index)
-            worn = self.fits.worn(body_index, self.made.repeat_interleave(per_body))
+            made = self.made | self.fits.small[chosen]
+            worn = self.fits.worn(body_index, made.repeat_interleave(per_body))
             self.losses.rest_row.copy_(worn.rows)
             posed_nodes = self.drape.posed_nodes(bone_transforms, worn.node_positions)
             bending, stiffer = drawn_bending(self._bodies, optimisation.other_bending, self.device)
             self.losses.bend.stiffer.copy_(stiffer.repeat_interleave(per_body))
-        modulation = self.drape.networks.hyper_modulator(*surface, self.made.float(), bending)
+        modulation = self.drape.networks.hyper_modulator(*surface, made.float(), bending)
         modulation = modulation.repeat_interleave(per_body, dim=0)
         nodes, detail = self.drape.draped(modulation, positions, gravity, posed_nodes)
         loss = self.objective(self.skinned(nodes, worn.rest, detail), gravity)

@@ -109,10 +109,10 @@ class Validation:
             body_index = chosen.repeat_interleave(self._per_body)
             bones = self._posed_bodies.pose(positions, body_index)
             for made in (False, True):
-                worn = self._fits.worn(body_index, torch.full_like(body_index, made, dtype=torch.bool))
+                fit = self._fits.small[chosen] | made
+                worn = self._fits.worn(body_index, fit.repeat_interleave(self._per_body))
                 self.losses.rest_row.copy_(worn.rows)
-                fit = torch.full(chosen.shape, float(made), device=chosen.device)
-                modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit)
+                modulation = drape.networks.hyper_modulator(self._points[batch], self._normals[batch], fit.float())
                 modulation = modulation.repeat_interleave(self._per_body, dim=0)
                 nodes = drape.posed_nodes(bones, worn.node_positions)
                 vertices = drape(modulation, positions, gravity, nodes, worn.rest)
