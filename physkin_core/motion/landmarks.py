@@ -51,6 +51,8 @@ CARRY, RECENT, HELD, EASE, TRUST, SINK = 0.1, 0.25, 1.0, 1.5, 0.3, 2.0
 which it takes up again; in which the floor rises to a foot."""
 STRAIGHT, NATURAL = 0.3, 0.03
 """Sines of the bend up to which a limb bends about the axis of before, and about the one that needs no twist."""
+NAMES = "farthest plausible sizes slowest_hz hz_a_speed speed_hz carry recent held ease trust sink straight natural"
+NUMBERS = (*NAMES.split(), "standing", "up", "ahead", "heel_to_toe", "ankle_to_toe")
 
 
 class LandmarkReader:
@@ -180,9 +182,8 @@ class LandmarkReader:
         return stands, bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
 
     def to_json(self) -> str:
-        """This reader's numbers for one in a language without NumPy; native/web/landmarks.js is one."""
-        fixed = "farthest plausible sizes slowest_hz hz_a_speed speed_hz carry recent held ease trust sink straight natural"
-        table = {name: globals()[name.upper()] for name in f"{fixed} standing up ahead heel_to_toe ankle_to_toe".split()}
+        """This reader's numbers, for one in another language: native/web/landmarks.js."""
+        table = {name: globals()[name.upper()] for name in NUMBERS}
         parts = [name.partition(".")[0] for name in USED]
         table |= {
             "count": self._count,

@@ -68,7 +68,7 @@ def vrm_bone_table(rig: Rig) -> dict[str, str]:
 
 
 def ball_entry(ball: BallJoint, axes: np.ndarray) -> dict[str, Any]:
-    """A ball joint as `vrm_bone_table` has it, of rotations whose axes are the rows of axes (3, 3), in the root frame."""
+    """A ball joint as `vrm_bone_table` has it. axes: (3, 3) rows are those of its rotations, in the root frame."""
     return {
         "before": (ball.frame.T @ ball.before @ axes.T).round(7).ravel().tolist(),
         "after": (axes @ ball.after @ ball.frame).round(7).ravel().tolist(),

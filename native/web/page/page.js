@@ -33,6 +33,8 @@ async function start() {
     return;
   }
   const player = new Player(motion, outfit);
+  let camera = null;
+  if (motion.camera !== undefined) addCamera(outfit, motion.camera, (opened) => (camera = window.shown.camera = opened));
   addJoints(outfit, player);
   addGarments(outfit, figure);
   addFabrics(outfit);
@@ -43,10 +45,13 @@ async function start() {
 
   const times = [];
   let last = performance.now();
+  let lived = null; // of the frame before
   function frame(now) {
-    const { positions, root, again } = player.after(Math.max(0, now - last) / 1000);
+    const live = camera?.after() ?? null;
+    const { positions, root, again } = live ?? player.after(camera ? 0 : Math.max(0, now - last) / 1000);
     last = now;
-    if (again) outfit.reset();
+    if (again || (live === null) !== (lived === null)) outfit.reset();
+    lived = live;
     const before = performance.now();
     outfit.step(positions, { time: now / 1000, root });
     times.push(performance.now() - before);
@@ -60,7 +65,7 @@ async function start() {
     requestAnimationFrame(frame);
   }
   requestAnimationFrame(frame);
-  window.shown = { outfit, player, figure, loaded }; // for who looks from the console
+  window.shown = { outfit, player, figure, stage, loaded }; // for who looks from the console
 }
 
 /** Joint positions and root of any moment of the motion, and what sliders add to it. */
@@ -93,6 +98,27 @@ class Player {
       again,
     };
   }
+}
+
+/** scale: of the avatar's legs. use: is given the camera when it is open, and null when it is closed. */
+function addCamera(outfit, scale, use) {
+  let camera = null;
+  const [button, video] = [find("camera"), find("picture")];
+  find("live").hidden = false;
+  button.onclick = async () => {
+    button.disabled = true;
+    if (camera === null) {
+      const { Camera } = await import("./camera.js");
+      const say = (text) => (find("seen").textContent = text);
+      camera = await Camera.open(video, outfit, scale, say).catch((error) => say(error.message) && null);
+    } else {
+      camera = camera.close() ?? null;
+    }
+    use(camera);
+    video.hidden = camera === null;
+    button.textContent = camera === null ? "Camera" : "Camera off";
+    button.disabled = false;
+  };
 }
 
 function addJoints(outfit, player) {
