@@ -33,7 +33,7 @@ def rig():
 
 
 def camera_frames(rig, name, yaw=0.0):
-    """Landmarks (T, 33, 4) of a clip as MediaPipe gives them, from the middle of the hips, what we have none of unseen."""
+    """Landmarks (T, 33, 4) of a clip as MediaPipe gives them, from the middle of the hips; we have 21 of them."""
     motion = load_motion(name).resampled(RATE_HZ)
     root = motion.root.astype(np.float64)
     root[:, 3:] = (Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_quat(root[:, 3:])).as_quat()
