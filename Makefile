@@ -56,7 +56,7 @@ bench: $(VENV)/installed-bench
 # A site, in build/site, with docs/architecture.svg drawn anew; after `make wasm` with a figure whose clothes are live.
 docs: $(VENV)/installed-docs
 	$(VENV)/bin/python docs/draw_architecture.py
-	if [ -e $(WEB)/made ]; then $(VENV)/bin/physkin export walk -g trousers:denim -g tshirt --web build/walk; fi
+	if [ -e $(WEB)/made ]; then $(VENV)/bin/physkin export walk -g trousers:denim -g tshirt --web build/walk --camera; fi
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
 # The pictures and plots of docs/, made anew: some minutes.

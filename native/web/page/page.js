@@ -1,5 +1,5 @@
 // An avatar that moves as motion.json says, its clothes computed here; or, with ?bridge=ws://HOST:9090, as a running ROS
-// node poses both. The scene is in glTF's axes.
+// node poses both; or as who sits before the camera, unless with ?camera=no. The scene is in glTF's axes.
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { showBridge } from "./live.js";
@@ -9,7 +9,8 @@ import { Figure, Stage } from "./stage.js";
 const SHOWN_TIMES = 30; // frames that the time shown is the median of
 
 const find = (id) => document.getElementById(id);
-const bridge = new URLSearchParams(location.search).get("bridge");
+const asked = new URLSearchParams(location.search);
+const bridge = asked.get("bridge");
 
 async function start() {
   const began = performance.now();
@@ -34,7 +35,9 @@ async function start() {
   }
   const player = new Player(motion, outfit);
   let camera = null;
-  if (motion.camera !== undefined) addCamera(outfit, motion.camera, (opened) => (camera = window.shown.camera = opened));
+  if (motion.camera !== undefined && asked.get("camera") !== "no") {
+    addCamera(outfit, motion.camera, (opened) => (camera = window.shown.camera = opened));
+  }
   addJoints(outfit, player);
   addGarments(outfit, figure);
   addFabrics(outfit);
