@@ -1,8 +1,8 @@
 """A page of static files on which an avatar moves and its cloth is computed in the visitor's browser (docs/browser.md).
 
 Besides what every page has (native/web) a folder holds `outfit.physkin.gz`, what the evaluator loads, `dressed.glb`,
-what is drawn, and `motion.json`; with a camera also `mediapipe`, which finds landmarks, and `camera.json`, numbers of the
-reader of landmarks (native/web/landmarks.js). Dimensions: `T` frames, `d` joints.
+what is drawn, and `motion.json`; with a camera also `mediapipe`, which finds landmarks, and `camera.json`, with numbers
+of the reader of landmarks (native/web/landmarks.js). Dimensions: `T` frames, `d` joints.
 """
 
 from __future__ import annotations

@@ -26,6 +26,22 @@ AWAY, HALF, TWO = (slice(30 + 20 * part, 50 + 20 * part) for part in range(3))
 """Parts of the film after the walk: nobody is there; the upper half of the body; two people."""
 TO_CAMERA = np.arctan2(1.4, 4.2)
 """[rad] to the left: where the page's camera stands, which films the avatar."""
+KEEP = """(({ shown }) => {
+  shown.kept = [];
+  let times = null;
+  const keep = () => {
+    if (shown.camera.times !== times) {
+      times = shown.camera.times;
+      const { positions, root } = shown.camera.after();
+      const cloth = Array.from(shown.outfit.garments[1].positions.slice(0, 300));
+      const said = document.getElementById('seen').textContent;
+      shown.kept.push([performance.now() / 1000, positions, root, said, cloth]);
+    }
+    requestAnimationFrame(keep);
+  };
+  keep();
+})(window)"""
+"""Keeps what each landmark frame moves."""
 
 made = pytest.mark.skipif(
     not (web_page.PAGE / web_page.FINDER).is_dir(), reason="needs `make wasm`: emscripten and npm"
@@ -74,6 +90,7 @@ def film(folder, address, tmp_path_factory):
     browser.wait("window.shown !== undefined", seconds=120)
     browser.send("Emulation.setDeviceMetricsOverride", width=SIZE[0], height=SIZE[1], deviceScaleFactor=1, mobile=False)
     browser.value("document.getElementById('panel').style.display = 'none'")
+    browser.value("window.shown.figure.model.traverse((mesh) => (mesh.castShadow = false)); 1")  # slow in software
     drawn = []
     motion = json.loads((folder / "motion.json").read_text())
     for positions, root in zip(motion["positions"], motion["root"]):
@@ -101,22 +118,16 @@ def film(folder, address, tmp_path_factory):
 @made
 @pytest.mark.slow
 def test_a_film_moves_the_avatar(address, film, clip, tmp_path):
-    """Limbs of the walk, as the camera sees them, are within 15 degrees in the median: towards the camera MediaPipe guesses,
-    by far more. While nobody is there, in half a body and before two people nothing jumps, and the page says what it sees.
-    The page's own drawing, which is software here, is stopped while it follows."""
+    """Limbs of the walk, as the camera sees them, are within 15 degrees in the median; how far they point towards it,
+    MediaPipe has to guess. While nobody is there, in half a body and before two people nothing jumps, and the page says
+    what it sees. The page does not draw while it follows, as that is done by the same cores here."""
     browser = Browser(film=film)
     browser.open(address)
     browser.wait("window.shown !== undefined", seconds=120)
+    browser.value("[window.shown.draw, window.shown.stage.draw] = [window.shown.stage.draw, () => {}]; 1")
     browser.click("document.getElementById('camera')")
     browser.wait("window.shown.camera?.times.length > 3", seconds=120)
-    browser.value(
-        "(() => { const { shown } = window; [shown.draw, shown.stage.draw] = [shown.stage.draw, () => {}];"
-        "shown.kept = []; let times; const keep = () => { if (shown.camera.times !== times) {"
-        "times = shown.camera.times; const { positions, root } = shown.camera.after();"
-        "const cloth = Array.from(shown.outfit.garments[1].positions.slice(0, 300));"
-        "shown.kept.push([performance.now() / 1000, positions, root, document.getElementById('seen').textContent, cloth]); }"
-        "requestAnimationFrame(keep); }; keep(); })()"
-    )
+    browser.value(KEEP)
     length = TWO.stop / RATE_HZ
     time.sleep(length + 3)
     times, positions, roots, said, cloth = map(list, zip(*browser.value("window.shown.kept")))
@@ -146,8 +157,8 @@ def test_a_film_moves_the_avatar(address, film, clip, tmp_path):
 
 
 def in_picture(seen, truth, times, start):
-    """Angles [degrees] between limbs in the picture's plane where they do not point at the camera, by limb, for a film that
-    began so long before the first time [s]; the walk's frames alone."""
+    """Angles [degrees] between limbs in the picture's plane where they do not point at the camera, by limb, while the
+    film walks, if it began so long before the first time [s]."""
     frames = ((times - times[0] + start) * RATE_HZ) % TWO.stop
     walks = (frames >= 3) & (frames < FRAMES)
     found = {}
@@ -210,8 +221,9 @@ def test_a_camera_is_for_pages(tmp_path, capsys):
 @made
 def test_garments_of_another_rig_cannot_follow_a_camera(tmp_path):
     """Its joints are not those that landmarks move."""
-    model = random_model(np.random.default_rng(0))
-    outfit = Outfit([model], random_avatar(model))
+    rng = np.random.default_rng(0)
+    model = random_model(rng)
+    outfit = Outfit([model], random_avatar(rng, model.rig))
     still = Motion(model.rig.joint_names, np.zeros((1, len(model.rig.joint_names))), [[0, 0, 0, 1]], [[0, 0, 1]], 30.0)
     with pytest.raises(ValueError, match="leave --camera out"):
         web_page.write_web_page(tmp_path / "page", outfit, still, [None], camera=True)
