@@ -1,5 +1,5 @@
-"""MkDocs hook: the page that `physkin export --web --camera` has written to build/walk, live in place of pictures. There
-its camera is left out; a link leads to it. `make docs` writes the page where there is the module for browsers.
+"""MkDocs hook: the page that `physkin export --web --camera` has written to build/walk, live in place of pictures. Its
+camera is left out there; a link leads to it. `make docs` writes the page where there is the module for browsers.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ KEEP = """(({ shown }) => {
   const keep = () => {
     if (shown.camera.times !== times) {
       times = shown.camera.times;
-      const { positions, root } = shown.camera.after();
+      const { positions, root } = shown.camera.now();
       const cloth = Array.from(shown.outfit.garments[1].positions.slice(0, 300));
       const said = document.getElementById('seen').textContent;
       shown.kept.push([performance.now() / 1000, positions, root, said, cloth]);
@@ -132,6 +132,7 @@ def test_a_film_moves_the_avatar(address, film, clip, tmp_path):
     time.sleep(length + 3)
     times, positions, roots, said, cloth = map(list, zip(*browser.value("window.shown.kept")))
     browser.value("window.shown.stage.draw = window.shown.draw; 1")
+    browser.wait("document.getElementById('seen').textContent.includes('You are seen')")
     time.sleep(2)
     (tmp_path / "page.png").write_bytes(browser.picture())
     assert browser.errors == []

@@ -50,7 +50,7 @@ async function start() {
   let last = performance.now();
   let lived = null; // of the frame before
   function frame(now) {
-    const live = camera?.after() ?? null;
+    const live = camera?.now() ?? null;
     const { positions, root, again } = live ?? player.after(camera ? 0 : Math.max(0, now - last) / 1000);
     last = now;
     if (again || (live === null) !== (lived === null)) outfit.reset();
@@ -103,22 +103,19 @@ class Player {
   }
 }
 
-/** scale: of the avatar's legs. use: is given the camera when it is open, and null when it is closed. */
+/** scale: of the avatar's legs. use: is given the camera when it opens, and null when it is closed. */
 function addCamera(outfit, scale, use) {
   let camera = null;
-  const [button, video] = [find("camera"), find("picture")];
+  const button = find("camera");
+  const say = (text) => (find("seen").textContent = text);
   find("live").hidden = false;
   button.onclick = async () => {
     button.disabled = true;
-    if (camera === null) {
-      const { Camera } = await import("./camera.js");
-      const say = (text) => (find("seen").textContent = text);
-      camera = await Camera.open(video, outfit, scale, say).catch((error) => say(error.message) && null);
-    } else {
-      camera = camera.close() ?? null;
-    }
+    const { Camera } = await import("./camera.js");
+    if (camera !== null) camera = camera.close() ?? null;
+    else camera = await Camera.open(find("picture"), outfit, scale, say).catch((error) => say(error.message) && null);
     use(camera);
-    video.hidden = camera === null;
+    find("picture").hidden = camera === null;
     button.textContent = camera === null ? "Camera" : "Camera off";
     button.disabled = false;
   };
