@@ -19,7 +19,8 @@ export class LandmarkReader {
   constructor(table, joints) {
     const index = new Map(joints.map(({ name }, joint) => [name, joint]));
     [this.#table, this.#joints] = [table, joints];
-    this.#balls = Object.entries(table.balls).map(([bone, ball]) => [bone, ball, ball.joints.map((name) => index.get(name))]);
+    const balls = Object.entries(table.balls);
+    this.#balls = balls.map(([bone, ball]) => [bone, ball, ball.joints.map((name) => index.get(name))]);
     this.reset();
   }
 
