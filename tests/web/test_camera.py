@@ -21,9 +21,12 @@ from physkin_core.export import web_page
 from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.motion.loading import save_motion
 
-FRAMES, RATE_HZ, SIZE = 30, 5, (480, 360)
-AWAY, HALF, TWO = (slice(30 + 20 * part, 50 + 20 * part) for part in range(3))
-"""Parts of the film after the walk: nobody is there; the upper half of the body; two people."""
+FRAMES, PART, RATE_HZ, SIZE = 30, 12, 2.5, (480, 360)
+"""Of the walk, and of each other part of the film: nobody, the upper half of a body, two people. A slow film, as few
+landmarks a second are found on busy cores."""
+REPEATED = 4
+"""Frames of the camera for each of these."""
+ALL = FRAMES + 3 * PART
 TO_CAMERA = np.arctan2(1.4, 4.2)
 """[rad] to the left: where the page's camera stands, which films the avatar."""
 KEEP = """(({ shown }) => {
@@ -50,13 +53,14 @@ made = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
-    """A walk in its place, towards the camera, that raises both arms and lowers them again."""
+    """A walk in its place, towards the camera, that raises both arms sideways, without their swing, and lowers them."""
     walk = load_motion("walk").resampled(15.0)
     frames = np.arange(FRAMES) % (walk.frame_count - 1)
     positions, raised = walk.positions[frames].copy(), np.sin(np.pi * np.arange(FRAMES) / (FRAMES - 1)) ** 2
-    for joint, angle in (("upperarm01.L_x", 1.6), ("upperarm01.R_x", -1.6)):
-        column = walk.joint_names.index(joint)
-        positions[:, column] = positions[:, column] * (1 - raised) + angle * raised
+    for column, joint in enumerate(walk.joint_names):
+        if "arm" in joint:
+            angle = {"upperarm01.L_x": 1.6, "upperarm01.R_x": -1.6}.get(joint, 0.0)
+            positions[:, column] = positions[:, column] * (1 - raised) + angle * raised
     turn = np.tile([0.0, 0.0, np.sin(TO_CAMERA / 2), np.cos(TO_CAMERA / 2)], (FRAMES, 1))
     place = np.where([False, False, True], walk.root_position[frames], 0.0)
     path = tmp_path_factory.mktemp("clip") / "raise.safetensors"
@@ -100,15 +104,16 @@ def film(folder, address, tmp_path_factory):
         drawn.append(np.array(image.open(io.BytesIO(browser.picture())).convert("RGB")))
     browser.close()
     empty = np.broadcast_to(drawn[0][:1, :1], drawn[0].shape)
-    halves = [np.array(image.fromarray(each[:180, 120:360]).resize(SIZE)) for each in drawn[:20]]
+    halves = [np.array(image.fromarray(each[:180, 120:360]).resize(SIZE)) for each in drawn[:PART]]
     pairs = [
-        np.concatenate([each[:, 120:360], drawn[at + 5][:, 120:360]], axis=1) for at, each in enumerate(drawn[:20])
+        np.concatenate([each[:, 120:360], drawn[at + 5][:, 120:360]], axis=1) for at, each in enumerate(drawn[:PART])
     ]
     path = tmp_path_factory.mktemp("film") / "film.y4m"
     with path.open("wb") as file:
-        file.write(f"YUV4MPEG2 W{SIZE[0]} H{SIZE[1]} F{RATE_HZ}:1 Ip A1:1 C420jpeg\n".encode())
-        for frame in [*drawn, *[empty] * 20, *halves, *pairs]:
-            light, *colours = image.fromarray(frame).convert("YCbCr").split()
+        file.write(f"YUV4MPEG2 W{SIZE[0]} H{SIZE[1]} F{REPEATED * RATE_HZ:.0f}:1 Ip A1:1 C420jpeg\n".encode())
+        for frame in np.repeat([*drawn, *[empty] * PART, *halves, *pairs], REPEATED, axis=0):
+            bands = image.fromarray(frame).convert("YCbCr").split()
+            light, *colours = (band.point(lambda value: 16 + value * 55 // 64) for band in bands)  # of 16 to 235
             file.write(b"FRAME\n" + light.tobytes())
             for colour in colours:
                 file.write(colour.resize((SIZE[0] // 2, SIZE[1] // 2), image.Resampling.BOX).tobytes())
@@ -128,7 +133,7 @@ def test_a_film_moves_the_avatar(address, film, clip, tmp_path):
     browser.click("document.getElementById('camera')")
     browser.wait("window.shown.camera?.times.length > 3", seconds=120)
     browser.value(KEEP)
-    length = TWO.stop / RATE_HZ
+    length = ALL / RATE_HZ
     time.sleep(length + 3)
     times, positions, roots, said, cloth = map(list, zip(*browser.value("window.shown.kept")))
     browser.value("window.shown.stage.draw = window.shown.draw; 1")
@@ -160,7 +165,7 @@ def test_a_film_moves_the_avatar(address, film, clip, tmp_path):
 def in_picture(seen, truth, times, start):
     """Angles [degrees] between limbs in the picture's plane where they do not point at the camera, by limb, while the
     film walks, if it began so long before the first time [s]."""
-    frames = ((times - times[0] + start) * RATE_HZ) % TWO.stop
+    frames = ((times - times[0] + start) * RATE_HZ) % ALL
     walks = (frames >= 3) & (frames < FRAMES)
     found = {}
     for limb, (first, last) in SEGMENTS.items():
