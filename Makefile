@@ -21,6 +21,9 @@ MESSAGES := $(shell find msg_defs -type f -not -path '*/__pycache__/*')
 WEB := build/web
 WEB_FROM := $(shell find native/src native/include native/web -type f) native/CMakeLists.txt
 THREE := $(WEB)/node_modules/three
+# What @mediapipe/pose loads where there is SIMD, with its smallest model.
+POSE := pose.js pose_landmark_lite.tflite pose_solution_packed_assets.data pose_solution_packed_assets_loader.js \
+	pose_solution_simd_wasm_bin.js pose_solution_simd_wasm_bin.wasm pose_web.binarypb
 # Packages that roslib is bundled with.
 ROSLIB_TAKES := @cto.af/wtf8 @xmldom/xmldom bson cbor2 eventemitter3 fast-png fflate iobuffer uuid
 
@@ -53,7 +56,7 @@ bench: $(VENV)/installed-bench
 # A site, in build/site, with docs/architecture.svg drawn anew; after `make wasm` with a figure whose clothes are live.
 docs: $(VENV)/installed-docs
 	$(VENV)/bin/python docs/draw_architecture.py
-	if [ -e $(WEB)/made ]; then $(VENV)/bin/physkin export walk -g trousers:denim -g tshirt --web build/walk; fi
+	if [ -e $(WEB)/made ]; then $(VENV)/bin/physkin export walk -g trousers:denim -g tshirt --web build/walk --camera; fi
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
 # The pictures and plots of docs/, made anew: some minutes.
@@ -72,14 +75,16 @@ $(WEB)/made: $(WEB_FROM)
 	mkdir -p $(WEB)/page/three/addons/loaders $(WEB)/page/three/addons/controls $(WEB)/page/three/addons/utils
 	cp native/web/*.js native/web/*.ts native/web/package.json build/wasm/physkin.wasm LICENSE $(WEB)
 	npm install --silent --no-fund --no-audit --prefix $(WEB)
-	cp native/web/page/* $(addprefix native/web/,native_module.js physkin.js ros.js three.js) build/wasm/physkin.wasm \
-		$(WEB)/page
+	cp native/web/page/* $(addprefix native/web/,landmarks.js native_module.js physkin.js ros.js rotations.js three.js) \
+		build/wasm/physkin.wasm $(WEB)/page
 	echo 'export { Ros, Topic } from "roslib"' | (cd $(WEB) && node_modules/.bin/esbuild --bundle --minify --format=esm \
 		--log-level=warning --outfile=page/roslib/roslib.min.js)
 	cd $(WEB)/node_modules && cat $(addsuffix /LICENSE*,roslib $(ROSLIB_TAKES)) > ../page/roslib/LICENSES
 	cp $(THREE)/build/three.module.min.js $(THREE)/build/three.core.min.js $(THREE)/LICENSE $(WEB)/page/three
 	for addon in loaders/GLTFLoader.js controls/OrbitControls.js utils/BufferGeometryUtils.js; do \
 		cp $(THREE)/examples/jsm/$$addon $(WEB)/page/three/addons/$$addon || exit 1; done
+	mkdir -p $(WEB)/page/mediapipe
+	cp $(addprefix $(WEB)/node_modules/@mediapipe/pose/,package.json README.md $(POSE)) LICENSE $(WEB)/page/mediapipe
 	touch $@
 
 # For this Python, tagged by the oldest system that it runs on: dist/physkin-*-manylinux_*.whl

@@ -27,15 +27,18 @@ ARGUMENTS = (
 
 
 class Browser:
-    """One tab. errors: what its console has told of as an error, uncaught exceptions too. size: of the window [px]."""
+    """One tab. errors: what its console has told of as an error, uncaught exceptions too. size: of the window [px].
+    film: .y4m in place of a camera, over and over, which pages may use without asking."""
 
-    def __init__(self, *, size: tuple[int, int] = (1000, 700)) -> None:
+    def __init__(self, *, size: tuple[int, int] = (1000, 700), film: Path | None = None) -> None:
         from websockets.sync.client import connect
 
         self._folder = tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True)
+        camera = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream"]
+        camera = [] if film is None else [*camera, f"--use-file-for-fake-video-capture={film}"]
         window = f"--window-size={size[0]},{size[1]}"
         self._process = subprocess.Popen(
-            [CHROMIUM, *ARGUMENTS, window, f"--user-data-dir={self._folder.name}", "about:blank"],
+            [CHROMIUM, *ARGUMENTS, *camera, window, f"--user-data-dir={self._folder.name}", "about:blank"],
             stderr=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
         )

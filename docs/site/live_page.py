@@ -1,5 +1,5 @@
-"""MkDocs hook: the page that `physkin export --web` has written to build/walk, live in docs/browser.md in place of its
-picture. `make docs` writes it where there is the module for browsers; else the picture stays.
+"""MkDocs hook: the page that `physkin export --web --camera` has written to build/walk, live in place of pictures. Its
+camera is left out there; a link leads to it. `make docs` writes the page where there is the module for browsers.
 """
 
 from __future__ import annotations
@@ -7,16 +7,23 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-__all__ = ["PICTURE", "on_page_markdown", "on_post_build"]
+__all__ = ["PICTURES", "on_page_markdown", "on_post_build"]
 
 WALK = Path(__file__).parents[2] / "build" / "walk"
-PICTURE = "![The page in Chromium](browser.jpg)"
-FRAME = '<iframe class="live" src="../walk/index.html" title="An avatar that walks"></iframe>'
+PICTURES = {
+    "![Three bodies dance: a wool skirt, denim and jersey, a silk dress](wardrobe.webp)": "walk",
+    "![The page in Chromium](browser.jpg)": "../walk",
+}
+"""In docs/README.md and docs/browser.md; the page as seen from there."""
+FRAME = """<iframe class="live" src="{0}/index.html?camera=no" title="An avatar that walks"></iframe>
+<a href="{0}/index.html">Let your camera move it</a>: pictures stay in your browser."""
 
 
 def on_page_markdown(markdown: str, page, config, files) -> str:
     """The page's text as the site shows it."""
-    return markdown.replace(PICTURE, FRAME) if WALK.is_dir() else markdown
+    for picture, walk in PICTURES.items() if WALK.is_dir() else ():
+        markdown = markdown.replace(picture, FRAME.format(walk))
+    return markdown
 
 
 def on_post_build(config) -> None:

@@ -74,6 +74,8 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="instead: a page for any web server; its cloth is computed in the browser (docs/browser.md)",
     )
+    said = "with --web: a button makes the avatar follow the visitor's camera; a file without clips walks until then"
+    parser.add_argument("--camera", action="store_true", help=said)
     return parser
 
 
@@ -84,7 +86,11 @@ def main(argv: list[str]) -> int:
     own = _skinned_file(source) if options.avatar is None else None
     options.avatar = options.avatar or (BUNDLED_AVATAR if own is None else source)
     if options.web is not None:
+        if options.camera and own is not None and not own.document.count("animations"):
+            options.motion = "walk"
         return _write_page(options)
+    if options.camera:
+        raise ValueError("--camera is for pages: give --web FOLDER in place of --output")
     kind = options.output.suffix.lower()
     if own is not None and (kind == ".glb" or kind == source.suffix.lower() == ".vrm"):
         return _write_dressed(options, own, clip)
@@ -131,7 +137,7 @@ def _write_page(options: argparse.Namespace) -> int:
         raise ValueError(f"cannot write {options.web}: it is a file; name a folder")
     motion, outfit = read_motion(options), dressed(options, whole=True)
     motion = as_asked(motion, options, outfit)
-    size = write_web_page(options.web, outfit, motion, garment_looks(options.materials, outfit))
+    size = write_web_page(options.web, outfit, motion, garment_looks(options.materials, outfit), camera=options.camera)
     print(f"wrote {options.web}: {size / 1e6:.1f} MB; to see it: python3 -m http.server -d {options.web}")
     return 0
 

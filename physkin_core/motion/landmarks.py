@@ -12,6 +12,7 @@ import json
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from physkin_core.rig.ball_joints import BallRotations
 from physkin_core.rig.canonical_pose import smallest_rotation
 from physkin_core.rig.joint_names import plain_name
 from physkin_core.rig.rig import Rig, axis_rotation
-from physkin_core.rig.vrm_bones import rig_ball_joint
+from physkin_core.rig.vrm_bones import ball_entry, rig_ball_joint
 
 __all__ = ["LANDMARK_SETS", "LandmarkReader"]
 
@@ -50,6 +51,8 @@ CARRY, RECENT, HELD, EASE, TRUST, SINK = 0.1, 0.25, 1.0, 1.5, 0.3, 2.0
 which it takes up again; in which the floor rises to a foot."""
 STRAIGHT, NATURAL = 0.3, 0.03
 """Sines of the bend up to which a limb bends about the axis of before, and about the one that needs no twist."""
+NAMES = "farthest plausible sizes slowest_hz hz_a_speed speed_hz carry recent held ease trust sink straight natural"
+NUMBERS = (*NAMES.split(), "standing", "up", "ahead", "heel_to_toe", "ankle_to_toe")
 
 
 class LandmarkReader:
@@ -110,6 +113,7 @@ class LandmarkReader:
         self._bones = (*joints, "root")
         balls = [rig_ball_joint(self._rig, names, half=half) for names, half in joints.values()]
         self._solver = BallRotations(balls, self._rig.joint_indices)
+        self._balls = dict(zip(joints, balls))
         self.reset()
 
     def reset(self) -> None:
@@ -176,6 +180,22 @@ class LandmarkReader:
         ahead = (np.cross(left, up) * (at[:, 0] - at[:, EARS].mean(axis=1))).sum(axis=1)
         stands = np.median(up[np.isfinite(up).all(axis=1)], axis=0) if np.isfinite(up).all(axis=1).any() else Z
         return stands, bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
+
+    def to_json(self) -> str:
+        """This reader's numbers, for one in another language: native/web/landmarks.js."""
+        table = {name: globals()[name.upper()] for name in NUMBERS}
+        parts = [name.partition(".")[0] for name in USED]
+        table |= {
+            "count": self._count,
+            "axes": self._axes.ravel(),
+            "columns": self._columns,
+            "least_confidence": self._least,
+            "soles": [[row, SOLE[part]] for row, part in enumerate(parts) if part in SOLE],
+            "chains": [SPINE, NECK],
+            "limbs": [limb.numbers() for limb in self._limbs],
+            "balls": {bone: ball_entry(ball, np.eye(3)) for bone, ball in self._balls.items()},
+        }
+        return json.dumps(table, default=lambda array: array.tolist(), separators=(",", ":"))
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
         """Take the person's size; ends of limbs that it makes implausible are not seen. Whether the size is known."""
@@ -288,6 +308,10 @@ class _Limb:
         self._constant = (self._axis @ self._lower) * (self._axis @ self._upper)
         sine, cosine = self._upper @ np.cross(self._axis, self._lower), self._upper @ self._lower - self._constant
         self._straight, self._reach = np.arctan2(sine, cosine), np.hypot(sine, cosine)
+
+    def numbers(self) -> dict[str, Any]:
+        """All of it, by name."""
+        return {name.lstrip("_"): value for name, value in vars(self).items() if name != "joints"}
 
     def turns(
         self, at: np.ndarray, seen: np.ndarray, carrier: np.ndarray, hinges: dict[str, np.ndarray], memory: float

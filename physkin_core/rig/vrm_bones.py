@@ -7,6 +7,7 @@ every bone has there. `hips` is left out: it places the root, whose tilt the dir
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from physkin_core.rig.ball_joints import BallJoint
 from physkin_core.rig.canonical_pose import t_pose_rotations
 from physkin_core.rig.rig import Rig
 
-__all__ = ["HUMANOID_BONES", "VRM_AXES", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
+__all__ = ["HUMANOID_BONES", "VRM_AXES", "ball_entry", "rig_ball_joint", "vrm_ball_joints", "vrm_bone_table"]
 
 VRM_AXES = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 """VRM's X, Y and Z in the root frame (X forward, Y left, Z up)."""
@@ -62,17 +63,19 @@ def vrm_bone_table(rig: Rig) -> dict[str, str]:
         balls = vrm_ball_joints(rig)
     except ValueError:
         return {}
-    table = {
-        bone: {
-            "before": (ball.frame.T @ ball.before @ VRM_AXES.T).round(7).ravel().tolist(),
-            "after": (VRM_AXES @ ball.after @ ball.frame).round(7).ravel().tolist(),
-            "joints": list(ball.joints),
-            "sign": int(np.sign(np.linalg.det(ball.frame))),
-            "twist": -1 if ball.twist is None else ball.twist,
-        }
-        for bone, ball in balls.items()
-    }
+    table = {bone: ball_entry(ball, VRM_AXES) for bone, ball in balls.items()}
     return {"vrm_bones": json.dumps(table, separators=(",", ":"))}
+
+
+def ball_entry(ball: BallJoint, axes: np.ndarray) -> dict[str, Any]:
+    """A ball joint as `vrm_bone_table` has it. axes: (3, 3) rows are those of its rotations, in the root frame."""
+    return {
+        "before": (ball.frame.T @ ball.before @ axes.T).round(7).ravel().tolist(),
+        "after": (axes @ ball.after @ ball.frame).round(7).ravel().tolist(),
+        "joints": list(ball.joints),
+        "sign": int(np.sign(np.linalg.det(ball.frame))),
+        "twist": -1 if ball.twist is None else ball.twist,
+    }
 
 
 def rig_ball_joint(

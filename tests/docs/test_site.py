@@ -59,16 +59,19 @@ def test_names_that_share_a_description_become_items_each():
     assert docstring_items.one_by_one(text, ["time", "root", "out"]) == expected
 
 
-def test_a_live_page_takes_the_place_of_its_picture(tmp_path, monkeypatch):
-    """Where there is one, and it is copied; else the picture stays."""
-    text = (ROOT / "docs" / "browser.md").read_text()
+@pytest.mark.parametrize(("name", "walk"), [("README.md", "walk"), ("browser.md", "../walk")])
+def test_a_live_page_takes_the_place_of_its_picture(tmp_path, monkeypatch, name, walk):
+    """Without its camera, and with a link to the one with it, where there is one, and it is copied; else the picture
+    stays."""
+    text = (ROOT / "docs" / name).read_text()
     monkeypatch.setattr(live_page, "WALK", tmp_path / "walk")
     config = SimpleNamespace(site_dir=tmp_path / "site")
     assert live_page.on_page_markdown(text, None, config, None) == text
     live_page.on_post_build(config)
     (tmp_path / "walk").mkdir()
     (tmp_path / "walk" / "index.html").touch()
-    assert "../walk/index.html" in live_page.on_page_markdown(text, None, config, None)
+    shown = live_page.on_page_markdown(text, None, config, None)
+    assert f'src="{walk}/index.html?camera=no"' in shown and f'href="{walk}/index.html"' in shown
     live_page.on_post_build(config)
     assert (tmp_path / "site" / "walk" / "index.html").exists()
 

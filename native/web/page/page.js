@@ -1,5 +1,5 @@
 // An avatar that moves as motion.json says, its clothes computed here; or, with ?bridge=ws://HOST:9090, as a running ROS
-// node poses both. The scene is in glTF's axes.
+// node poses both; or as who sits before the camera, unless with ?camera=no. The scene is in glTF's axes.
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { showBridge } from "./live.js";
@@ -9,7 +9,8 @@ import { Figure, Stage } from "./stage.js";
 const SHOWN_TIMES = 30; // frames that the time shown is the median of
 
 const find = (id) => document.getElementById(id);
-const bridge = new URLSearchParams(location.search).get("bridge");
+const asked = new URLSearchParams(location.search);
+const bridge = asked.get("bridge");
 
 async function start() {
   const began = performance.now();
@@ -33,6 +34,10 @@ async function start() {
     return;
   }
   const player = new Player(motion, outfit);
+  let camera = null;
+  if (motion.camera !== undefined && asked.get("camera") !== "no") {
+    addCamera(outfit, motion.camera, (opened) => (camera = window.shown.camera = opened));
+  }
   addJoints(outfit, player);
   addGarments(outfit, figure);
   addFabrics(outfit);
@@ -43,10 +48,13 @@ async function start() {
 
   const times = [];
   let last = performance.now();
+  let lived = null; // of the frame before
   function frame(now) {
-    const { positions, root, again } = player.after(Math.max(0, now - last) / 1000);
+    const live = camera?.now() ?? null;
+    const { positions, root, again } = live ?? player.after(camera ? 0 : Math.max(0, now - last) / 1000);
     last = now;
-    if (again) outfit.reset();
+    if (again || (live === null) !== (lived === null)) outfit.reset();
+    lived = live;
     const before = performance.now();
     outfit.step(positions, { time: now / 1000, root });
     times.push(performance.now() - before);
@@ -60,7 +68,7 @@ async function start() {
     requestAnimationFrame(frame);
   }
   requestAnimationFrame(frame);
-  window.shown = { outfit, player, figure, loaded }; // for who looks from the console
+  window.shown = { outfit, player, figure, stage, loaded }; // for who looks from the console
 }
 
 /** Joint positions and root of any moment of the motion, and what sliders add to it. */
@@ -93,6 +101,24 @@ class Player {
       again,
     };
   }
+}
+
+/** scale: of the avatar's legs. use: is given the camera when it opens, and null when it is closed. */
+function addCamera(outfit, scale, use) {
+  let camera = null;
+  const button = find("camera");
+  const say = (text) => (find("seen").textContent = text);
+  find("live").hidden = false;
+  button.onclick = async () => {
+    button.disabled = true;
+    const { Camera } = await import("./camera.js");
+    if (camera !== null) camera = camera.close() ?? null;
+    else camera = await Camera.open(find("picture"), outfit, scale, say).catch((error) => say(error.message) && null);
+    use(camera);
+    find("picture").hidden = camera === null;
+    button.textContent = camera === null ? "Camera" : "Camera off";
+    button.disabled = false;
+  };
 }
 
 function addJoints(outfit, player) {

@@ -1,0 +1,254 @@
+// Landmarks of a person to joint positions, frame by frame: physkin_core.LandmarkReader step by step, with its numbers
+// (`to_json`). X forward, Y left, Z up; vectors are arrays of 3.
+import { anglesOf, matrix, product } from "./rotations.js";
+
+const [FACE, EARS, SHOULDERS, HIPS, MIDDLE] = [[0, 1, 2, 3, 4], [3, 4], [5, 6], [7, 8], 21]; // rows; middle of the hips
+const TRUNK = [...SHOULDERS, ...HIPS];
+const SAME = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+const AXES = [SAME.slice(0, 3), SAME.slice(3, 6), SAME.slice(6)];
+const [X, Y, Z] = AXES;
+
+/** table: of `LandmarkReader.to_json`; joints: of an outfit.
+ * status: "seen", "part" or "lost"; lost: what is not seen, such as ["left arm", "head"]. */
+export class LandmarkReader {
+  #table;
+  #joints;
+  #balls;
+  #state;
+
+  constructor(table, joints) {
+    const index = new Map(joints.map(({ name }, joint) => [name, joint]));
+    [this.#table, this.#joints] = [table, joints];
+    const balls = Object.entries(table.balls);
+    this.#balls = balls.map(([bone, ball]) => [bone, ball, ball.joints.map((name) => index.get(name))]);
+    this.reset();
+  }
+
+  /** Starts anew, with another person. */
+  reset() {
+    const value = (row) => this.#table.standing[TRUNK.indexOf(row)] ?? [0, 0, 0];
+    this.#state = {
+      points: Array.from({ length: MIDDLE + 1 }, (_, row) => ({ value: value(row), speed: [0, 0, 0], at: -Infinity })),
+      bones: Object.fromEntries([...this.#balls, ["root"]].map(([bone]) => [bone, { at: -Infinity, trust: 0 }])),
+      ...{ time: -Infinity, sizes: [], hinges: {}, root: SAME, place: [0, 0, 0.914], floor: NaN },
+      positions: this.#joints.map(({ rest }) => rest),
+    };
+    [this.status, this.lost] = ["lost", ["trunk"]];
+  }
+
+  /** points: { x, y, z, visibility } of each landmark, in the tracker's axes; null where nobody is seen. time [s].
+   * Returns joint positions, and the root in glTF's axes as `Outfit.step` takes it. */
+  read(points, time) {
+    const { count, columns, axes, farthest, least_confidence, straight, recent } = this.#table;
+    if (time < this.#state.time) this.reset();
+    const passed = Math.min(time - this.#state.time, 10);
+    this.#state.time = time;
+    const found = columns.map((column) => {
+      if (points === null || column === count) return null; // not seen
+      const { x, y, z, visibility = 1 } = points[column];
+      const near = Math.max(...[x, y, z].map(Math.abs)) < farthest && norm([x, y, z]) > 0;
+      return near && visibility >= least_confidence ? turned(axes, [x, y, z]) : null;
+    });
+    let turns = {};
+    [this.status, this.lost] = ["lost", ["trunk"]];
+    if (this.#measure(found) && TRUNK.filter((row) => found[row]).length > 1) {
+      const seen = this.#smooth(found, passed);
+      [turns, this.lost] = this.#turns(seen, straight * Math.exp(-passed / recent));
+      if (!HIPS.every((row) => found[row])) this.lost.push("hips");
+      this.status = this.lost.length > 0 ? "part" : "seen";
+      this.#stand(seen, passed);
+    }
+    this.#follow(turns, passed);
+    const { positions, place, root } = this.#state;
+    const [x, y, z, w] = quaternion(root);
+    return { positions: positions.slice(), root: [place[1], place[2], place[0], y, z, x, w] };
+  }
+
+  #measure(found) {
+    const { limbs, plausible, sizes, up } = this.#table;
+    const ends = ([a, b]) => found[a] && found[b];
+    let halves = limbs.flatMap((limb) => limb.halves).filter(ends);
+    if (this.#state.sizes.length + halves.length === 0) halves = HIPS.map((hip) => [hip, hip - 2, up[2]]).filter(ends);
+    const ratios = halves.map(([a, b, length]) => norm(minus(found[b], found[a])) / length);
+    if (median(ratios) > 0) this.#state.sizes = [...this.#state.sizes, median(ratios)].slice(-sizes);
+    const size = (this.#state.size = median(this.#state.sizes));
+    halves.forEach(([, end], at) => {
+      if (!(ratios[at] / size > plausible[0] && ratios[at] / size < plausible[1])) found[end] = null;
+    });
+    return this.#state.sizes.length > 0;
+  }
+
+  #smooth(found, passed) {
+    const { speed_hz, slowest_hz, hz_a_speed, carry, recent, standing, up, ease } = this.#table;
+    const { points, size, time } = this.#state;
+    const at = (row) => points[row].value;
+    const scaled = found.map((point) => point && times(1 / size, point));
+    const off = (row) => minus(scaled[row], at(row));
+    const both = HIPS.every((row) => scaled[row]);
+    const hips = both ? mean(HIPS.map((row) => scaled[row])) : mean(TRUNK.filter((row) => scaled[row]).map(off));
+    [...scaled.map((point) => point && minus(point, hips)), hips].forEach((here, row) => {
+      const point = points[row];
+      if (here === null) {
+        point.speed = times(Math.exp(-passed / carry), point.speed);
+        point.value = plus(point.value, times(passed, point.speed));
+        return;
+      }
+      const since = Math.max(time - point.at, 1e-6);
+      const moved = minus(here, point.value);
+      point.speed = between(point.speed, times(1 / since, moved), letThrough(speed_hz, since));
+      point.value = between(point.value, here, letThrough(slowest_hz + hz_a_speed * norm(point.speed), since));
+      point.at = time;
+    });
+    const counts = points.slice(0, MIDDLE).map((point) => time - point.at < recent);
+    if (!HIPS.some((row) => counts[row])) {
+      const [left, right] = SHOULDERS.map(at);
+      const level = turnOf([left[0] - right[0], left[1] - right[1], 0], Z, Y, Z);
+      HIPS.forEach((row, side) => {
+        const below = plus(mean([left, right]), turned(level, minus(standing[2 + side], up)));
+        points[row].value = between(at(row), below, 1 - Math.exp(-passed / ease));
+      });
+    }
+    TRUNK.forEach((row) => (counts[row] = true));
+    return counts;
+  }
+
+  // Rotations of bones from their parents, of "root" from the world; which parts are lost.
+  #turns(seen, memory) {
+    const { chains, limbs, columns, count, up, ahead } = this.#table;
+    const at = this.#state.points.map(({ value }) => value);
+    const middle = (rows) => mean(rows.map((row) => at[row]));
+    const above = minus(middle(SHOULDERS), middle(HIPS));
+    const [root, chest] = [HIPS, SHOULDERS].map(([left, right]) => turnOf(minus(at[left], at[right]), above, Y, up));
+    const turns = { root };
+    const share = (bones, from, to) => bones.forEach((bone) => (turns[bone] = partOf(product(inverse(from), to), 1 / 3)));
+    share(chains[0], root, chest);
+    const lost = limbs.filter(({ rows }) => !rows.slice(0, 3).every((row) => seen[row])).map(({ name }) => name);
+    if (FACE.every((row) => seen[row])) {
+      const nose = minus(middle(FACE.slice(0, 3)), middle(EARS));
+      share(chains[1], chest, turnOf(minus(at[EARS[0]], at[EARS[1]]), nose, Y, ahead));
+    } else if (FACE.every((row) => columns[row] < count)) lost.push("head");
+    for (const limb of limbs) this.#bend(limb, at, seen, limb.name.includes("arm") ? chest : root, memory, turns);
+    return [turns, lost];
+  }
+
+  #bend(limb, at, seen, carrier, memory, turns) {
+    const { natural, heel_to_toe, ankle_to_toe } = this.#table;
+    const { hinges } = this.#state;
+    const [[a, b, c, heel, toe], back] = [limb.rows, inverse(carrier)];
+    const [upper, lower] = [unit(minus(at[b], at[a])), unit(minus(at[c], at[b]))];
+    if (!seen[a] || !seen[b] || norm(upper) === 0) return;
+    const least = turned(smallestTurn(limb.upper, turned(back, upper)), limb.axis);
+    let axis = turned(carrier, plus(times(memory, hinges[limb.name] ?? least), times(natural, least)));
+    let [atRest, bend] = [times(memory + natural, limb.axis), null];
+    if (seen[c] && norm(lower) > 0) {
+      const cosine = (dot(upper, lower) - limb.constant) / limb.reach;
+      bend = axisTurn(limb.axis, limb.straight + Math.acos(Math.min(Math.max(cosine, -1), 1)));
+      axis = plus(axis, cross(upper, lower));
+      atRest = plus(atRest, cross(limb.upper, turned(bend, limb.lower)));
+    }
+    const above = turnOf(upper, axis, limb.upper, atRest);
+    turns[limb.bones[0]] = product(back, above);
+    hinges[limb.name] = turned(turns[limb.bones[0]], limb.axis);
+    if (bend === null) return;
+    turns[limb.bones[1]] = bend;
+    if (toe === undefined || !seen[toe]) return;
+    const [start, sole] = seen[heel] ? [heel, heel_to_toe] : [c, ankle_to_toe];
+    const shin = product(above, bend);
+    const own = sole.map((each, axis) => each * limb.foot[axis]);
+    turns[limb.bones[2]] = product(inverse(shin), turnOf(minus(at[toe], at[start]), turned(shin, Y), own, Y));
+  }
+
+  #stand(seen, passed) {
+    const { soles, sink } = this.#table;
+    const { points, place, floor } = this.#state;
+    const hips = points[MIDDLE].value;
+    const placed = norm(hips) > 0.1 ? 1 : 0;
+    const below = soles.filter(([row]) => seen[row]).map(([row, sole]) => points[row].value[2] - sole);
+    const lowest = hips[2] + (below.length > 0 ? Math.min(...below) : -place[2]);
+    const rise = lowest - floor;
+    this.#state.floor = placed && rise > 0 ? lowest - rise * Math.exp(-passed / sink) : lowest;
+    this.#state.place = [placed * hips[0], placed * hips[1], hips[2] - this.#state.floor];
+  }
+
+  #follow(turns, passed) {
+    const { held, ease, trust } = this.#table;
+    const { bones, positions, root, time } = this.#state;
+    const first = Object.values(bones).every(({ at }) => at === -Infinity);
+    const shareOf = (bone) => {
+      const [state, now] = [bones[bone], bone in turns];
+      state.trust = first && now ? 1 : Math.min(Math.max(state.trust + (now ? passed : -passed) / trust, 0), 1);
+      if (now) state.at = time;
+      return now ? state.trust : time - state.at > held ? 1 - Math.exp(-passed / ease) : 0;
+    };
+    const wanted = turns.root ?? product(smallestTurn(turned(root, Z), Z), root);
+    this.#state.root = product(root, partOf(product(inverse(root), wanted), shareOf("root")));
+    for (const [bone, ball, joints] of this.#balls) {
+      const share = shareOf(bone);
+      anglesOf(ball, turns[bone] ?? SAME).forEach((angle, slot) => {
+        const joint = joints[slot];
+        if (joint === undefined) return;
+        const { lower, rest, upper } = this.#joints[joint];
+        const rounds = Math.floor((rest + angle - (lower + upper) / 2) / (2 * Math.PI) + 0.5);
+        const within = Math.min(Math.max(rest + angle - 2 * Math.PI * rounds, lower), upper);
+        positions[joint] += share * (within - positions[joint]);
+      });
+    }
+  }
+}
+
+const plus = (a, b) => a.map((each, axis) => each + b[axis]);
+const minus = (a, b) => a.map((each, axis) => each - b[axis]);
+const times = (factor, vector) => vector.map((each) => factor * each);
+const between = (a, b, share) => plus(a, times(share, minus(b, a)));
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = ([x, y, z], [u, v, w]) => [y * w - z * v, z * u - x * w, x * v - y * u];
+const norm = (vector) => Math.sqrt(dot(vector, vector));
+const unit = (vector) => times(1 / (norm(vector) || 1), vector);
+const mean = (vectors) => times(1 / vectors.length, vectors.reduce(plus));
+const turned = (m, vector) => [0, 3, 6].map((row) => dot(m.slice(row, row + 3), vector));
+const inverse = (m) => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
+const axisTurn = (axis, angle) => matrix(...times(Math.sin(angle / 2), axis), Math.cos(angle / 2));
+const letThrough = (cutoff, passed) => 1 / (1 + 1 / (2 * Math.PI * cutoff * passed));
+
+function median(values) {
+  const [sorted, half] = [[...values].sort((a, b) => a - b), values.length / 2];
+  return (sorted[Math.ceil(half) - 1] + sorted[Math.floor(half)]) / 2;
+}
+
+// The rotation that takes two directions at rest to those that are seen, the first exactly.
+function turnOf(first, second, firstRest, secondRest) {
+  const frames = [[first, second], [firstRest, secondRest]].map(([one, two]) => {
+    const along = norm(one) > 0 ? unit(one) : X;
+    const least = AXES.reduce((a, b) => (Math.abs(dot(along, b)) < Math.abs(dot(along, a)) ? b : a));
+    const across = cross(along, two);
+    const square = unit(dot(across, across) > 1e-18 ? across : cross(along, least));
+    return [...along, ...cross(square, along), ...square];
+  });
+  return product(inverse(frames[0]), frames[1]);
+}
+
+// The rotation of least angle between two directions.
+function smallestTurn(start, end) {
+  const [a, b] = [unit(start), unit(end)];
+  if (dot(a, b) < -1 + 1e-9) return turnOf(b, Z, a, Z);
+  const half = unit(plus(a, b));
+  return matrix(...cross(a, half), dot(a, half));
+}
+
+// A share of a rotation; none of half a turn, whose axis is not known.
+function partOf(m, share) {
+  const axis = [m[7] - m[5], m[2] - m[6], m[3] - m[1]];
+  return axisTurn(unit(axis), share * Math.atan2(norm(axis), m[0] + m[4] + m[8] - 1));
+}
+
+// x, y, z, w. Of the products of all four with each, those with the largest.
+function quaternion(m) {
+  const [x, y, z, xy, xz, yz] = [m[7] - m[5], m[2] - m[6], m[3] - m[1], m[1] + m[3], m[2] + m[6], m[5] + m[7]];
+  const rows = [
+    [1 + m[0] - m[4] - m[8], xy, xz, x],
+    [xy, 1 - m[0] + m[4] - m[8], yz, y],
+    [xz, yz, 1 - m[0] - m[4] + m[8], z],
+    [x, y, z, 1 + m[0] + m[4] + m[8]],
+  ].sort((a, b) => Math.hypot(...b) - Math.hypot(...a));
+  return rows[0].map((each) => each / Math.hypot(...rows[0]));
+}
