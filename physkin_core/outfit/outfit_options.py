@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,10 +25,12 @@ from physkin_core.separation.limb_separator import separated_motion
 log = logging.getLogger(__name__)
 
 __all__ = [
+    "ROW_OPTIONS",
     "add_avatar_options",
     "add_options",
     "add_outfit_options",
     "as_asked",
+    "as_option",
     "chosen_avatar",
     "chosen_garments",
     "dressed",
@@ -52,6 +55,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "HZ",
         "help": "rate at which a motion file's clip was recorded (default: what the file says, 120 for an .amc)",
     },
+    "rate": {"type": float, "metavar": "HZ", "help": "frames a second (default: the motion's own)"},
     "own-clothes": {
         "choices": OWN_CLOTHES,
         "default": OWN_CLOTHES[0],
@@ -96,6 +100,33 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
 }
 """Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
+
+
+ROW_OPTIONS = tuple(OPTIONS)
+"""Those that may differ between rows of a table."""
+
+
+def as_option(name: str, value: Any) -> Any:
+    """What `argparse` makes of an option's value, here of a table's cell: text as it is on a command line, words with
+    spaces between them, or JSON's types. Raises ValueError naming option, value and what is allowed."""
+    how = OPTIONS.get(name, {})
+    words = value if isinstance(value, list) else str(value).split()
+    if how.get("action") is argparse.BooleanOptionalAction:
+        allowed, made = "true, false", {"true": True, "false": False}.get(str(value).lower())
+    elif how.get("action") == "append":
+        allowed, made = "names with spaces between them", list(map(str, words)) or None
+    elif how.get("type") is float:
+        count = how.get("nargs", 1)
+        allowed, made = f"{count} number{'s' * (count > 1)}", None
+        with suppress(ValueError, TypeError):
+            numbers = tuple(map(float, words))
+            made = None if len(numbers) != count else numbers if count > 1 else numbers[0]
+    else:
+        choices = how.get("choices", ())
+        allowed, made = ", ".join(choices) or "text", str(value) if not choices or value in choices else None
+    if made is None:
+        raise ValueError(f"{name} {value!r} is not allowed; give {allowed}")
+    return made
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:
