@@ -6,7 +6,7 @@ import html
 from pathlib import Path
 from string import Template
 
-__all__ = ["COLOURS", "badge", "html_page", "write_page"]
+__all__ = ["COLOURS", "badge", "write_page"]
 
 COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "unsure": "#7a4fa3", "refused": "#b3261e"}
 """Of outcomes."""
@@ -18,23 +18,18 @@ img { max-width: 100%; } h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin
 figure { display: inline-block; margin: 0 .4em .6em 0; } figcaption { font-size: .85em; color: #5a5f66; }
 .outcome { color: white; border-radius: 4px; padding: .1em .5em; } p.note { color: #5a5f66; }
 .worse { color: #b3261e; } .well { color: #2d7a46; }
-</style><body>
+</style><body><h1>$title</h1>
 $body
 </body></html>
 """)
 
 
-def html_page(title: str, body: str, *, refresh: int = 0) -> str:
-    """A whole page in this project's style. body: HTML. refresh: seconds after which a browser reads it again, or 0."""
-    head = f'<meta http-equiv="refresh" content="{refresh}">' if refresh else ""
-    return PAGE.substitute(title=html.escape(title), head=head, body=body)
-
-
 def write_page(path: Path, title: str, body: str, *, refresh: int = 0) -> None:
-    """Write a page, whole or not at all; its title is its heading, too. body, refresh: as of `html_page`."""
+    """Write a page, whole or not at all; its title is its heading, too. body: HTML. refresh: seconds after which a
+    browser reads it again, 0 for never."""
+    head = f'<meta http-equiv="refresh" content="{refresh}">' if refresh else ""
     partial = path.with_suffix(".partial")
-    heading = f"<h1>{html.escape(title)}</h1>\n{body}"
-    partial.write_text(html_page(title, heading, refresh=refresh), encoding="utf-8")
+    partial.write_text(PAGE.substitute(title=html.escape(title), head=head, body=body), encoding="utf-8")
     partial.replace(path)
 
 

@@ -34,39 +34,31 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
     """
     import zarr
 
-    group = zarr.open_group(path, mode="w", attributes=_attributes(outfit, motion))
-    joints = motion.positions_for(outfit.rig)
-    for name, values in (("joint_positions", joints), ("root", motion.root), ("time", motion.times)):
-        group.create_array(name, data=values, chunks=values.shape, compressors=None)
-    places, chunks = [], []
+    names, count = [layer.name for layer in outfit.layers], motion.frame_count
+    said = {"garments": names, "joint_names": outfit.joint_names, "motion": motion.name, "rate_hz": motion.rate_hz}
+    group = zarr.open_group(path, mode="w", attributes=said)
+    joints, times, root = motion.positions_for(outfit.rig), motion.times, motion.root
+    small = {"joint_positions": joints, "time": times, "root": root}
+    arrays, chunks, halves, clouds = [], [], [], []
     for layer in outfit.layers:
-        garment, (count, shape) = group.create_group(layer.name), (motion.frame_count, (len(layer.visible), 3))
-        for name, values in (("faces", layer.faces), ("vertex_ids", layer.visible)):
-            garment.create_array(name, data=values, chunks=values.shape, compressors=None)
-        settings = {"shape": (count, *shape), "chunks": (min(FRAMES, count), *shape), "dtype": "float32"}
+        small |= {f"{layer.name}/faces": layer.faces, f"{layer.name}/vertex_ids": layer.visible}
+        clouds.append(np.empty((len(layer.visible), 6), dtype=np.float32))
+        halves += list(clouds[-1].view(POINT).T)
         for name in ("positions", "normals"):
-            places.append(garment.create_array(name, **settings, compressors=None, config={"write_empty_chunks": True}))
-            chunks.append(np.empty((min(FRAMES, count), *shape), dtype=np.float32))
-    clouds = [np.empty((len(layer.visible), 6), dtype=np.float32) for layer in outfit.layers]
-    halves = [half for cloud in clouds for half in cloud.view(POINT).T]
-    targets = [chunk.view(POINT)[..., 0] for chunk in chunks]
+            chunk = np.empty((min(FRAMES, count), len(layer.visible), 3), dtype=np.float32)
+            whole = {"shape": (count, *chunk.shape[1:]), "chunks": chunk.shape, "dtype": chunk.dtype}
+            settings = {"compressors": None, "config": {"write_empty_chunks": True}}  # to look for these takes time
+            arrays.append(group.create_array(f"{layer.name}/{name}", **whole, **settings))
+            chunks.append(chunk)
+    for name, values in small.items():
+        group.create_array(name, data=values, chunks=values.shape, compressors=None)
     outfit.reset()
-    for frame, (positions, time, root) in enumerate(zip(joints, motion.times, motion.root)):
-        outfit.drape(positions, time=time, root=root, outs=clouds)
-        place = frame % FRAMES
-        for target, half in zip(targets, halves):
-            target[place] = half
-        if place == FRAMES - 1 or frame == motion.frame_count - 1:
-            for array, chunk in zip(places, chunks):
-                array[frame - place : frame + 1] = chunk[: place + 1]
+    for frame, (pose, time, place) in enumerate(zip(joints, times, root)):
+        outfit.drape(pose, time=time, root=place, outs=clouds)
+        row = frame % FRAMES
+        for chunk, half in zip(chunks, halves):
+            chunk[row].view(POINT)[:, 0] = half
+        if row == FRAMES - 1 or frame == count - 1:
+            for array, chunk in zip(arrays, chunks):
+                array[frame - row : frame + 1] = chunk[: row + 1]
     return []
-
-
-def _attributes(outfit: Outfit, motion: Motion) -> dict:
-    return {
-        "garments": [layer.name for layer in outfit.layers],
-        "joint_names": list(outfit.joint_names),
-        "motion": motion.name,
-        "rate_hz": motion.rate_hz,
-        "units": "m, rad, s; positions are from the root, Z up",
-    }

@@ -107,26 +107,22 @@ ROW_OPTIONS = tuple(OPTIONS)
 
 
 def as_option(name: str, value: Any) -> Any:
-    """What `argparse` makes of an option's value, here of a table's cell: text as it is on a command line, words with
-    spaces between them, or JSON's types. Raises ValueError naming option, value and what is allowed."""
-    how = OPTIONS.get(name, {})
-    words = value if isinstance(value, list) else str(value).split()
-    if how.get("action") is argparse.BooleanOptionalAction:
-        allowed, made = "true, false", {"true": True, "false": False}.get(str(value).lower())
-    elif how.get("action") == "append":
-        allowed, made = "names with spaces between them", list(map(str, words)) or None
-    elif how.get("type") is float:
-        count = how.get("nargs", 1)
-        allowed, made = f"{count} number{'s' * (count > 1)}", None
-        with suppress(ValueError, TypeError):
-            numbers = tuple(map(float, words))
-            made = None if len(numbers) != count else numbers if count > 1 else numbers[0]
-    else:
-        choices = how.get("choices", ())
-        allowed, made = ", ".join(choices) or "text", str(value) if not choices or value in choices else None
-    if made is None:
-        raise ValueError(f"{name} {value!r} is not allowed; give {allowed}")
-    return made
+    """An option's value as `argparse` gives it, of a table's cell: text as on a command line, or JSON's types.
+
+    Raises ValueError naming option and value."""
+    how, words = OPTIONS.get(name, {}), value if isinstance(value, list) else str(value).split()
+    with suppress(KeyError, TypeError, ValueError):
+        if how.get("action") is argparse.BooleanOptionalAction:
+            return {"true": True, "false": False}[str(value).lower()]
+        if how.get("action") == "append":
+            return list(map(str, words))
+        if "type" in how:
+            (*numbers,) = map(how["type"], words)
+            if len(numbers) == how.get("nargs", 1):
+                return numbers if "nargs" in how else numbers[0]
+        elif value in how.get("choices", [value]):
+            return str(value)
+    raise ValueError(f"{name} {value!r} is not allowed; it is: {how['help']}")
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:

@@ -89,7 +89,8 @@ def write_report(
 
 def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]], *, refresh: int = 0) -> None:
     """Write the page over many bags. bags: of each its name, the address of its own page, its figures from `describe`,
-    None while there are none, and why it could not be replayed, empty where it could. refresh: as of `html_page`."""
+    None while there are none, and why it could not be replayed, empty where it could. refresh: as of
+    `write_page`."""
     rows, failed = [], []
     for name, address, figures, reason in bags:
         if figures is None:

@@ -15,7 +15,7 @@ from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.check.garment_check import check_garment
-from physkin_core.html_page import badge, html_page
+from physkin_core.html_page import badge, write_page
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
 from physkin_core.pictures.picture import PictureError, save_png
@@ -35,9 +35,8 @@ FIRST_POSES = 2
 PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
-BODY = Template("""<h1>$name</h1>
-<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes, to step $steps of $all_steps of $samples
-poses each, on $device.</p>
+BODY = Template("""<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes, to step $steps of
+$all_steps of $samples poses each, on $device.</p>
 <h2>In short</h2>
 $undertrained
 $in_short
@@ -92,7 +91,6 @@ def write_report(
     optimisation = model.training["optimisation"]
     undertrained = record.undertrained(scores, begun="started_from" in model.training)
     body = BODY.substitute(
-        name=html.escape(model.name),
         vertices=len(model.garment.vertices),
         nodes=len(model.node_rest),
         minutes=f"{seconds / 60:.1f}",
@@ -109,7 +107,7 @@ def write_report(
         figures=_figures(scores),
         curve=record.loss_curve(),
     )
-    output.with_suffix(".html").write_text(html_page(model.name, body), encoding="utf-8")
+    write_page(output.with_suffix(".html"), model.name, body)
     return scores
 
 
