@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
@@ -64,7 +65,8 @@ def at_once(jobs, tmp_path_factory):
     output = tmp_path_factory.mktemp("here")
     options = command_parser().parse_args([str(jobs), "-o", str(output)])
     rows = rows_of(read_table(jobs), options, ".zarr")
-    assert do_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
+    with threadpool_limits(1):  # as workers have it: sums of two threads differ by what is rounded
+        assert do_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
     return output
 
 
@@ -127,7 +129,8 @@ def test_arrays_are_what_an_outfit_drapes(at_once):
 
     group = zarr.open_group(at_once / "avatar-walk2" / "avatar-walk2.zarr", mode="r")
     motion, model = load_motion("walk").looped(1.2), load_garment_model("tshirt")
-    outfit = Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig))
+    with threadpool_limits(1):
+        outfit = Outfit([model], load_avatar(BUNDLED_AVATAR, model.rig))
     assert group.attrs["garments"] == ["tshirt"] and group.attrs["joint_names"] == list(outfit.joint_names)
     shirt, joints = group["tshirt"], group["joint_positions"][:]
     assert shirt["positions"].shape == (72, len(outfit.layers[0].visible), 3), "more than a chunk"
@@ -155,7 +158,7 @@ def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
     rows = rows_of(read_table(table), options, f".{kind}")
     assert do_rows(rows, partial(_drape, f".{kind}"), tmp_path / "out", lambda *_: None, here=True) == 0
     one, two = (tmp_path / "out" / f"avatar-{name}" / f"avatar-{name}.{kind}" for name in ("one", "two"))
-    assert one.read_bytes() == two.read_bytes()
+    assert one.read_bytes() == two.read_bytes().replace(b"avatar-two", b"avatar-one"), "but for the folder of pictures"
 
 
 @pytest.mark.parametrize(
