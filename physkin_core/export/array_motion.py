@@ -34,31 +34,40 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
     """
     import zarr
 
-    names, count = [layer.name for layer in outfit.layers], motion.frame_count
-    said = {"garments": names, "joint_names": outfit.joint_names, "motion": motion.name, "rate_hz": motion.rate_hz}
+    names, count, rig = [layer.name for layer in outfit.layers], motion.frame_count, outfit.rig
+    said = {"garments": names, "joint_names": rig.joint_names, "motion": motion.name, "rate_hz": motion.rate_hz}
     group = zarr.open_group(path, mode="w", attributes=said)
-    joints, times, root = motion.positions_for(outfit.rig), motion.times, motion.root
-    small = {"joint_positions": joints, "time": times, "root": root}
-    arrays, chunks, halves, clouds = [], [], [], []
+    length = -(-count // -(-count // FRAMES))  # chunks are all as long, so that little of the last is empty
+    joints, times, root = motion.positions_for(rig), motion.times, motion.root
+    whole = {"joint_positions": joints, "time": times, "root": root}
+    chunks, halves, clouds = {}, [], []
     for layer in outfit.layers:
-        small |= {f"{layer.name}/faces": layer.faces, f"{layer.name}/vertex_ids": layer.visible}
+        whole |= {f"{layer.name}/faces": layer.faces, f"{layer.name}/vertex_ids": layer.visible}
         clouds.append(np.empty((len(layer.visible), 6), dtype=np.float32))
         halves += list(clouds[-1].view(POINT).T)
         for name in ("positions", "normals"):
-            chunk = np.empty((min(FRAMES, count), len(layer.visible), 3), dtype=np.float32)
-            whole = {"shape": (count, *chunk.shape[1:]), "chunks": chunk.shape, "dtype": chunk.dtype}
-            settings = {"compressors": None, "config": {"write_empty_chunks": True}}  # to look for these takes time
-            arrays.append(group.create_array(f"{layer.name}/{name}", **whole, **settings))
-            chunks.append(chunk)
-    for name, values in small.items():
-        group.create_array(name, data=values, chunks=values.shape, compressors=None)
+            chunks[f"{layer.name}/{name}"] = np.zeros((length, len(layer.visible), 3), dtype=np.float32)
+    for name, values in (whole | chunks).items():
+        shape = (count, *values.shape[1:]) if name in chunks else values.shape
+        settings = {"chunks": values.shape, "dtype": values.dtype, "compressors": None}
+        group.create_array(name, shape=shape, chunk_key_encoding={"name": "default", "separator": "."}, **settings)
+        if name in whole:
+            _write_chunk(path / name, 0, values)
     outfit.reset()
     for frame, (pose, time, place) in enumerate(zip(joints, times, root)):
         outfit.drape(pose, time=time, root=place, outs=clouds)
-        row = frame % FRAMES
-        for chunk, half in zip(chunks, halves):
+        number, row = divmod(frame, length)
+        for chunk, half in zip(chunks.values(), halves):
             chunk[row].view(POINT)[:, 0] = half
-        if row == FRAMES - 1 or frame == count - 1:
-            for array, chunk in zip(arrays, chunks):
-                array[frame - row : frame + 1] = chunk[: row + 1]
+        if row == length - 1 or frame == count - 1:
+            for name, chunk in chunks.items():
+                chunk[row + 1 :] = 0
+                _write_chunk(path / name, number, chunk)
     return []
+
+
+def _write_chunk(array: Path, number: int, values: np.ndarray) -> None:
+    """Write part of an array that is cut along its first axis, as format 3 has it where nothing is compressed. zarr
+    copies it first, which takes longer than all else here but the draping."""
+    file = array / ".".join(["c", str(number), *["0"] * (values.ndim - 1)])
+    file.write_bytes(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")))
