@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 __all__ = ["Cluster", "Outcome", "add_address", "joined", "tried"]
 
@@ -20,20 +20,20 @@ ANSWER = 5.0
 RETRIES = 3
 """New attempts for a batch whose worker was lost."""
 
-Row = TypeVar("Row")
-
 
 @dataclass(frozen=True)
-class Outcome(Generic[Row]):
+class Outcome:
     """How a row ended. result: what its work returned, None if it failed. reason: why it failed, else empty."""
 
-    row: Row
+    row: Any
     result: Any = None
     reason: str = ""
 
 
-def tried(work: Callable[[Row], Any], rows: Sequence[Row]) -> list[Outcome[Row]]:
-    """Do rows one after the other. One that raises an exception has its reason, and the others go on."""
+def tried(work: Callable[[Any], Any], rows: Sequence[Any], folder: str = ".") -> list[Outcome]:
+    """Do rows one after the other, paths being from a folder on. One that raises an exception has its reason, and the
+    others go on."""
+    os.chdir(folder)
     outcomes = []
     for row in rows:
         try:
@@ -43,11 +43,6 @@ def tried(work: Callable[[Row], Any], rows: Sequence[Row]) -> list[Outcome[Row]]
             known = isinstance(error, ValueError | OSError | ImportError) and said
             outcomes.append(Outcome(row, reason=said if known else f"{type(error).__name__}: {said}"))
     return outcomes
-
-
-def _tried_in(folder: str, work: Callable[[Row], Any], rows: Sequence[Row]) -> list[Outcome[Row]]:
-    os.chdir(folder)
-    return tried(work, rows)
 
 
 @dataclass(frozen=True)
@@ -64,8 +59,8 @@ class Cluster:
         return "cuda" if self.gpus else "cpu"
 
     def run(
-        self, work: Callable[[Row], Any], batches: Sequence[Sequence[Row]], *, look_every: float, alone: bool = False
-    ) -> Iterator[Outcome[Row] | None]:
+        self, work: Callable[[Any], Any], batches: Sequence[Sequence[Any]], *, look_every: float, alone: bool = False
+    ) -> Iterator[Outcome | None]:
         """Every row with how it ended, as batches end; None every `look_every` seconds in which none has.
 
         work: is called again for rows of a batch whose worker was lost. After `RETRIES` the rows of such a batch are
@@ -76,14 +71,14 @@ class Cluster:
         import ray
 
         options = {"num_cpus": self.cpus, "num_gpus": self.gpus, "max_retries": RETRIES, "max_calls": int(alone)}
-        remote = ray.remote(**options)(_tried_in)
+        remote = ray.remote(**options)(tried)
         here = os.getcwd()  # paths mean the same to workers
         waiting, running = [list(batch) for batch in reversed(batches)], {}
         try:
             while waiting or running:
                 while waiting and len(running) < self.at_once:
                     batch = waiting.pop()
-                    running[remote.remote(here, work, batch)] = batch
+                    running[remote.remote(work, batch, here)] = batch
                 done, _ = ray.wait(list(running), timeout=look_every)
                 if not done:
                     yield None

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from physkin_core.cluster.cluster import Outcome
-from physkin_core.cluster.rows import FolderRow, Notes, do_rows
+from physkin_core.cluster.rows import FolderRow, do_rows
 from physkin_core.motion.bag_reader import BagError
 from physkin_ros.replay.report import write_overview
 
@@ -57,13 +57,12 @@ def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Names
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
     rows = [FolderRow(bag.name, bag, _settings(options, bag)) for bag in bags_in(options.bag)]
     work, show = partial(_replay_into, options, replay_one), partial(_write_page, output, rows)
-    address, here = options.address, options.address is None
-    failed = do_rows(rows, work, output, show, called="bags", address=address, here=here)
+    failed = do_rows(rows, work, output, show, called="bags", address=options.address, here=options.address is None)
     print(f"wrote {output / OVERVIEW}")
     return 1 if failed else 0
 
 
-def _replay_into(options: argparse.Namespace, replay_one: Callable, row: FolderRow, folder: Path) -> Notes:
+def _replay_into(options: argparse.Namespace, replay_one: Callable, row: FolderRow, folder: Path) -> dict:
     """Replay a bag into its folder."""
     written = {"output": folder / CLOUDS, "json": folder / FIGURES, "report": folder / REPORT}
     replay_one(argparse.Namespace(**(vars(options) | {"bag": row.order} | written)))

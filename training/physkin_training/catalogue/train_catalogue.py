@@ -106,7 +106,7 @@ def _train(cluster: Cluster, jobs: Sequence[Job], to_do: Sequence[Job], page: Pa
     return failed
 
 
-def _lost(outcome: Outcome[Job]) -> Status:
+def _lost(outcome: Outcome) -> Status:
     """Note that the job's worker was lost."""
     job, noted = outcome.row, read_status(outcome.row)
     status = Status(job.fingerprint, "failed", outcome.reason, noted.starts if noted else 0)
