@@ -39,6 +39,10 @@ COMMANDS = {
     },
     "take them elsewhere": {
         "export": ("physkin_core.export.export", "write a draped motion as glTF (.glb) or USD, for other tools"),
+        "drape-many": (
+            "physkin_core.cluster.drape_many",
+            "drape many motions on many avatars, on a Ray cluster: arrays, .glb or USD",
+        ),
         "bind": ("", "write garments on one avatar for hosts without Python (a browser, Unity, C, C++)"),
         "bind-points": (
             "physkin_core.points.bind_points",

@@ -17,7 +17,7 @@ EXTRAS = {
     "ros": ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces"),
     "replay": ("rosbags", "apsw", "tabulate"),
     "training": ("torch", "warp", "potpourri3d", "pydantic", "tensorboard", "physkin_training"),
-    "catalogue": ("ray",),
+    "cluster": ("ray", "zarr"),
     "usd": ("pxr",),
     "view": ("mitsuba", "PIL", "matplotlib", "av", "viser"),
     "completion": ("shtab",),

@@ -11,6 +11,7 @@ import numpy as np
 
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR, GLTF_SUFFIXES
+from physkin_core.export.array_motion import write_array_motion
 from physkin_core.export.dressed_file import write_dressed_file
 from physkin_core.export.gltf_motion import write_gltf_motion
 from physkin_core.export.usd_motion import write_usd_motion
@@ -38,9 +39,14 @@ from physkin_core.outfit.outfit_options import (
 from physkin_core.output_file import check_other_file
 from physkin_core.quality import closest_points
 
-__all__ = ["command_parser", "garment_looks", "main"]
+__all__ = ["WRITERS", "command_parser", "dressed_for", "garment_looks", "main"]
 
-WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion}
+WRITERS = {
+    ".glb": write_gltf_motion,
+    ".usd": write_usd_motion,
+    ".usdc": write_usd_motion,
+    ".zarr": write_array_motion,
+}
 LIES_ON = 0.002
 """[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
 
@@ -52,8 +58,7 @@ def command_parser() -> argparse.ArgumentParser:
     parser.add_argument("motion", metavar="MOTION", help=said)
     add_outfit_options(parser)
     parser.set_defaults(avatar=None)
-    add_options(parser, "source-rate", "separate-limbs", "sway", "wind")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="frames a second (default: the motion's own)")
+    add_options(parser, "source-rate", "separate-limbs", "sway", "wind", "rate")
     parser.add_argument(
         "--materials",
         action="append",
@@ -66,7 +71,7 @@ def command_parser() -> argparse.ArgumentParser:
     wanted.add_argument(
         *("-o", "--output"),
         type=Path,
-        help="a .glb with garment nodes as joints, or .usd, .usdc with every vertex in every frame",
+        help="a .glb with garment nodes as joints, .usd, .usdc with every vertex in every frame, or .zarr of arrays",
     )
     wanted.add_argument(
         "--web",
@@ -98,15 +103,23 @@ def main(argv: list[str]) -> int:
         raise ValueError(f"cannot write {options.output.name}: allowed are {', '.join(WRITERS)}")
     check_other_file(options.output, options.avatar, source, *options.materials)
     motion = read_motion(options)
-    outfit = dressed(options, for_engines=kind == ".glb")
+    outfit, looks = dressed_for(kind, options)
     motion = as_asked(motion, options, outfit)
-    body = slice(None) if kind == ".glb" else outfit.faces_to_draw  # a .glb leaves out by its own frames
-    looks = [avatar_look(outfit.body_to_draw, body), *garment_looks(options.materials, outfit)]
     not_shown = WRITERS[kind](options.output, outfit, motion, looks=looks)
-    size = options.output.stat().st_size / 1e6
+    size = sum(path.stat().st_size for path in (options.output, *options.output.rglob("*"))) / 1e6
     print(f"wrote {options.output}: {motion.frame_count} frames at {motion.rate_hz:g} Hz, {size:.1f} MB")
     print_warnings(not_shown)
     return 0
+
+
+def dressed_for(kind: str, options: argparse.Namespace) -> tuple[Outfit, list[Look | None]]:
+    """The outfit that the writer of a kind takes, and looks of its body and garments: none for arrays. Raises as
+    `dressed` and `garment_looks`."""
+    outfit = dressed(options, for_engines=kind == ".glb")
+    if kind == ".zarr":
+        return outfit, []
+    body = slice(None) if kind == ".glb" else outfit.faces_to_draw  # a .glb leaves out by its own frames
+    return outfit, [avatar_look(outfit.body_to_draw, body), *garment_looks(options.materials, outfit)]
 
 
 def _skinned_file(source: Path) -> GltfFile | None:

@@ -135,14 +135,15 @@ class Motion:
             (77, 52)
         """
         column = {name: k for k, name in enumerate(self.joint_names)}
-        matched = [k for k, name in enumerate(rig.joint_names) if name in column]
+        names = rig.joint_names
+        matched = [k for k, name in enumerate(names) if name in column]
         if not matched:
             raise MotionError(
                 f"motion {self.name!r} has no joint of the rig: it moves {', '.join(self.joint_names[:3])}, ..., "
                 f"the rig has {', '.join(rig.joint_names[:3])}, ..."
             )
         positions = np.tile(rig.rest.astype(np.float32), (self.frame_count, 1))
-        positions[:, matched] = self.positions[:, [column[rig.joint_names[k]] for k in matched]]
+        positions[:, matched] = self.positions[:, [column[names[k]] for k in matched]]
         return positions
 
     def resampled(self, rate_hz: float) -> Motion:

@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,10 +25,12 @@ from physkin_core.separation.limb_separator import separated_motion
 log = logging.getLogger(__name__)
 
 __all__ = [
+    "ROW_OPTIONS",
     "add_avatar_options",
     "add_options",
     "add_outfit_options",
     "as_asked",
+    "as_option",
     "chosen_avatar",
     "chosen_garments",
     "dressed",
@@ -52,6 +55,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "HZ",
         "help": "rate at which a motion file's clip was recorded (default: what the file says, 120 for an .amc)",
     },
+    "rate": {"type": float, "metavar": "HZ", "help": "frames a second (default: the motion's own)"},
     "own-clothes": {
         "choices": OWN_CLOTHES,
         "default": OWN_CLOTHES[0],
@@ -96,6 +100,29 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
 }
 """Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
+
+
+ROW_OPTIONS = tuple(OPTIONS)
+"""Those that may differ between rows of a table."""
+
+
+def as_option(name: str, value: Any) -> Any:
+    """An option's value as `argparse` gives it, of a table's cell: text as on a command line, or JSON's types.
+
+    Raises ValueError naming option and value."""
+    how, words = OPTIONS.get(name, {}), value if isinstance(value, list) else str(value).split()
+    with suppress(KeyError, TypeError, ValueError):
+        if how.get("action") is argparse.BooleanOptionalAction:
+            return {"true": True, "false": False}[str(value).lower()]
+        if how.get("action") == "append":
+            return list(map(str, words))
+        if "type" in how:
+            (*numbers,) = map(how["type"], words)
+            if len(numbers) == how.get("nargs", 1):
+                return numbers if "nargs" in how else numbers[0]
+        elif value in how.get("choices", [value]):
+            return str(value)
+    raise ValueError(f"{name} {value!r} is not allowed; it is: {how['help']}")
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str, worn: str = DEFAULT) -> None:

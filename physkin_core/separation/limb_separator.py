@@ -9,6 +9,7 @@ import logging
 import warnings
 from dataclasses import astuple, dataclass, replace
 from time import perf_counter
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -127,9 +128,14 @@ def bind_limbs(rig: Rig, avatar: Avatar) -> LimbSeparator:
     return separator
 
 
+FITTED: WeakKeyDictionary[Avatar, LimbSeparator] = WeakKeyDictionary()
+"""Of bodies whose motions are separated one after the other: to fit limbs takes as long as to drape 150 frames."""
+
+
 def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
     """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Warns and raises as
     `bind_limbs`."""
-    separator = bind_limbs(rig, avatar)
-    positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
+    if avatar not in FITTED:
+        FITTED[avatar] = bind_limbs(rig, avatar)
+    positions = [FITTED[avatar].separate(each)[0] for each in motion.positions_for(rig)]
     return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))

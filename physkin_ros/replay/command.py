@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from physkin_core import Draper, load_garment_model
+from physkin_core.cluster.cluster import add_address
 from physkin_core.motion.bag_reader import ORIENTATIONS, BagError, BagReader
 from physkin_core.outfit.outfit_options import (
     add_avatar_options,
@@ -126,6 +127,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--json", type=file_to_write, metavar="FILE", help="write the figures; docs/replay.md explains the keys"
     )
     parser.add_argument("--report", type=file_to_write, metavar="FILE", help="write a self-contained HTML page")
+    add_address(parser, "none: the bags of a folder are replayed here, one after the other")
     parser.add_argument(
         "--baseline",
         type=Path,

@@ -10,7 +10,6 @@ import html
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from string import Template
 from urllib.parse import quote
 
 import numpy as np
@@ -19,6 +18,7 @@ from tabulate import tabulate
 
 from physkin_core import Draper
 from physkin_core.extras import install_command
+from physkin_core.html_page import write_page
 from physkin_core.pictures.picture import PictureError, render, save_png
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.replay.figures import LABELS, summary
@@ -36,22 +36,6 @@ PLOTS = {
     "Evaluator [µs]": ("latency_us",),
 }
 """Title -> series drawn."""
-PAGE = Template("""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>$title</title>
-<style>
-body { font: 15px/1.45 system-ui, sans-serif; color: #23272e; max-width: 900px; margin: 2em auto; padding: 0 1em }
-h1 { font-size: 1.4em } img { max-width: 100% }
-table { border-collapse: collapse; margin: 1em 0 }
-td, th { padding: .15em .9em .15em 0; text-align: left; vertical-align: top }
-figure { display: inline-block; margin: 0 .4em .6em 0 } figcaption { font-size: .85em; color: #667 }
-.worse { color: #a3261b } .well { color: #2c6e3f }
-</style>
-<h1>$title</h1>
-$body
-</html>
-""")
 
 
 def thumbnails(found: Replay, draper: Draper) -> tuple[list[tuple[str, bytes]], str]:
@@ -100,12 +84,13 @@ def write_report(
     for caption, png in pictures:
         image = _image(png, f"garment at {html.escape(caption)}")
         parts.append(f"<figure>{image}<figcaption>{html.escape(caption)}</figcaption></figure>")
-    _write_page(path, title, [*parts, f"<p>{html.escape(remark)}</p>", _plots(figures["series"])])
+    write_page(path, title, "\n".join([*parts, f"<p>{html.escape(remark)}</p>", _plots(figures["series"])]))
 
 
-def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]]) -> None:
+def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]], *, refresh: int = 0) -> None:
     """Write the page over many bags. bags: of each its name, the address of its own page, its figures from `describe`,
-    None while there are none, and why it could not be replayed, empty where it could."""
+    None while there are none, and why it could not be replayed, empty where it could. refresh: as of
+    `write_page`."""
     rows, failed = [], []
     for name, address, figures, reason in bags:
         if figures is None:
@@ -118,12 +103,7 @@ def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, st
         rows.append([link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means])
     header, formats = ["bag", "draped", "rejected", "s", *LABELS.values()], ["", "", "", ".2f", *[".3f"] * len(LABELS)]
     table = tabulate(rows, header, "unsafehtml", floatfmt=formats, missingval="")
-    _write_page(path, f"{len(bags)} bags", [*failed, "<p>Means over clouds.</p>", table])
-
-
-def _write_page(path: Path, title: str, parts: Sequence[str]) -> None:
-    """parts: HTML."""
-    path.write_text(PAGE.substitute(title=html.escape(title), body="\n".join(parts)), "utf-8")
+    write_page(path, f"{len(bags)} bags", "\n".join([*failed, "<p>Means over clouds.</p>", table]), refresh=refresh)
 
 
 def _plots(series: Mapping[str, Sequence[float | None]]) -> str:

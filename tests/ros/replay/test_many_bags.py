@@ -36,7 +36,7 @@ def test_every_bag_is_replayed_once(bags, tmp_path, capsys):
     """One that cannot be read is a row with the reason; what is finished is done again only with other settings."""
     assert cli.main(command(bags)) == 1
     printed = capsys.readouterr().out
-    assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: replayed" in printed
+    assert "3 bags, 0 of them finished" in printed and "2 of 3: one.mcap: done" in printed
     out = tmp_path / "out"
     page = (out / "replay.html").read_text()
     assert page.count("<tr>") == 1 + 3 and 'href="two.mcap/report.html"' in page and "broken.mcap" in page

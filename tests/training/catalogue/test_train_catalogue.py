@@ -57,12 +57,12 @@ def test_refusals(arguments, said, shop, tmp_path, capsys):
 def test_without_ray_the_extra_is_named(shop, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     assert main(["train-catalogue", str(shop), "-o", str(tmp_path / "models")]) == 2
-    assert install_command("catalogue") in capsys.readouterr().err
+    assert install_command("cluster") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:port", "127.0.0.1:99999", "ray://127.0.0.1:1"])
 def test_an_address_without_a_cluster_is_told_at_once(address, shop, tmp_path, capsys):
-    pytest.importorskip("ray", reason="needs the [catalogue] extra")
+    pytest.importorskip("ray", reason="needs the [cluster] extra")
     assert main(["train-catalogue", str(shop), "-o", str(tmp_path / "models"), "--address", address]) == 2
     error = capsys.readouterr().err
     assert f"--address {address}: no Ray cluster answers there" in error and error.count("\n") == 1
@@ -99,7 +99,7 @@ def kill_worker_of(folder: Path, *, after: int, within: float) -> None:
 def test_a_lost_worker_is_replaced_and_goes_on(shop, tmp_path, capsys):
     """The refused mesh is a row, the killed training goes on, finished ones are not trained again."""
     if importlib.util.find_spec("ray") is None:  # not imported: what it prints is set before
-        pytest.skip("needs the [catalogue] extra")
+        pytest.skip("needs the [cluster] extra")
     models = tmp_path / "models"
     (shop / "belly.toml").write_text((tmp_path / "recipe.toml").read_text())
     settings = FitSettings(

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from tabulate import tabulate
 
+from physkin_core import html_page
+from physkin_core.html_page import badge
 from physkin_training.catalogue.garment_run import LOG, PICTURE
 from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
 from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT
-from physkin_training.fit_garment.report import badge, html_page
 
 __all__ = ["write_page"]
 
@@ -49,11 +50,7 @@ def write_page(path: Path, jobs: Sequence[Job], *, refresh: int = 0) -> None:
     said = ", ".join(f"{count} {state}" for state, count in counts.items())
     rows = [_row(job, status) for job, status in statuses.items()]
     table = tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True)
-    body = f"<h1>{len(jobs)} garments</h1><p>{said}.</p>\n{table}"
-    head = f'<meta http-equiv="refresh" content="{refresh}">' if refresh else ""
-    partial = path.with_suffix(".partial")
-    partial.write_text(html_page(f"{len(jobs)} garments", body, head=head), encoding="utf-8")
-    partial.replace(path)
+    html_page.write_page(path, f"{len(jobs)} garments", f"<p>{said}.</p>\n{table}", refresh=refresh)
 
 
 def _row(job: Job, status: Status | None) -> list[str]:

@@ -8,14 +8,17 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from physkin_core.cluster.cluster import Cluster, Outcome, add_address, joined
 from physkin_core.progress import progress_line
-from physkin_training.catalogue.cluster import Cluster, joined
+from physkin_training.catalogue.garment_run import train_garment
 from physkin_training.catalogue.page import write_page
 from physkin_training.catalogue.plan import (
     CatalogueError,
     Job,
+    Status,
     find_jobs,
     read_status,
     stage,
@@ -85,10 +88,11 @@ def _train(cluster: Cluster, jobs: Sequence[Job], to_do: Sequence[Job], page: Pa
     print(f"training {len(to_do)} garments, {cluster.at_once} at once, {where}")
     watch, written = progress_line(f"training {len(to_do)} garments"), 0.0
     already = {job: _share(job) for job in to_do}
-    with closing(cluster.run(to_do, look_every=LOOK_EVERY)) as outcomes:
+    train = partial(train_garment, device=cluster.device)
+    with closing(cluster.run(train, [[job] for job in to_do], look_every=LOOK_EVERY, alone=True)) as outcomes:
         for outcome in outcomes:
             if outcome:
-                job, status = outcome
+                job, status = outcome.row, outcome.result or _lost(outcome)
                 already.pop(job)
                 ended += 1
                 failed += status.state == "failed"
@@ -100,6 +104,14 @@ def _train(cluster: Cluster, jobs: Sequence[Job], to_do: Sequence[Job], page: Pa
                 written = time.monotonic()
             watch((ended + sum(max(0.0, _share(job) - before) for job, before in already.items())) / len(to_do))
     return failed
+
+
+def _lost(outcome: Outcome) -> Status:
+    """Note that the job's worker was lost."""
+    job, noted = outcome.row, read_status(outcome.row)
+    status = Status(job.fingerprint, "failed", outcome.reason, noted.starts if noted else 0)
+    write_status(job, status)
+    return status
 
 
 def _share(job: Job) -> float:
@@ -115,9 +127,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MODELS", help="folder to write")
     add_fit_options(parser)
-    parser.add_argument(
-        "--address", help="address of a Ray cluster (default: the one on this machine, which is started if need be)"
-    )
+    add_address(parser, "the one on this machine, which is started if need be")
     parser.add_argument("--cpus", type=int, default=1, help="processor cores for each garment (default 1)")
     parser.add_argument(
         "--device", choices=("cpu", "cuda"), help="where to train (default: one GPU for each garment, if there are any)"

@@ -15,6 +15,7 @@ from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.check.garment_check import check_garment
+from physkin_core.html_page import badge, write_page
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
 from physkin_core.pictures.picture import PictureError, save_png
@@ -27,27 +28,15 @@ from physkin_training.fit_garment.training_record import TrainingRecord, learnt,
 from physkin_training.fit_garment.verdicts import COLUMNS, Verdict
 from physkin_training.time_budget import TimeBudget
 
-__all__ = ["badge", "html_page", "write_report"]
+__all__ = ["write_report"]
 
 FIRST_POSES = 2
 """Poses a body that are evaluated first, to see how many there is time for."""
 PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
-COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "unsure": "#7a4fa3", "refused": "#b3261e"}
-PAGE = Template("""<!doctype html><html lang="en"><meta charset="utf-8"><title>$title</title>$head<style>
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 1200px; margin: 2em auto; padding: 0 1em; color: #25282c; }
-table { border-collapse: collapse; margin: 1em 0; font-size: 13px; }
-th, td { border-bottom: 1px solid #d8dade; padding: .35em .7em; text-align: left; vertical-align: top; }
-img { max-width: 100%; } h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
-.outcome { color: white; border-radius: 4px; padding: .1em .5em; } p.note { color: #5a5f66; }
-</style><body>
-$body
-</body></html>
-""")
-BODY = Template("""<h1>$name</h1>
-<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes, to step $steps of $all_steps of $samples
-poses each, on $device.</p>
+BODY = Template("""<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes, to step $steps of
+$all_steps of $samples poses each, on $device.</p>
 <h2>In short</h2>
 $undertrained
 $in_short
@@ -102,7 +91,6 @@ def write_report(
     optimisation = model.training["optimisation"]
     undertrained = record.undertrained(scores, begun="started_from" in model.training)
     body = BODY.substitute(
-        name=html.escape(model.name),
         vertices=len(model.garment.vertices),
         nodes=len(model.node_rest),
         minutes=f"{seconds / 60:.1f}",
@@ -119,18 +107,8 @@ def write_report(
         figures=_figures(scores),
         curve=record.loss_curve(),
     )
-    output.with_suffix(".html").write_text(html_page(model.name, body), encoding="utf-8")
+    write_page(output.with_suffix(".html"), model.name, body)
     return scores
-
-
-def html_page(title: str, body: str, *, head: str = "") -> str:
-    """A whole page in this project's style. body, head: HTML."""
-    return PAGE.substitute(title=html.escape(title), head=head, body=body)
-
-
-def badge(text: str, outcome: str) -> str:
-    """A word in the colour of an outcome of a check, HTML."""
-    return f'<span class="outcome" style="background:{COLOURS[outcome]}">{html.escape(text)}</span>'
 
 
 def _pictures(

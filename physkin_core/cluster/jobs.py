@@ -1,0 +1,118 @@
+"""Rows of `physkin drape-many`: from a table, or from folders of avatars and motions that are crossed."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from physkin_core.avatar.loading import GLTF_SUFFIXES, MESH_SUFFIXES
+from physkin_core.cluster.rows import FolderRow
+from physkin_core.file_reading import ContentError, read_text, reading
+from physkin_core.model.model_file import MODELS_PATH, split_fabric
+from physkin_core.motion.clip_files import CLIP_SUFFIXES, split_clip_name
+from physkin_core.motion.landmark_files import LANDMARK_SUFFIXES
+from physkin_core.motion.loading import BAG_SUFFIXES, MOTIONS_DIRECTORY, bundled_motions
+from physkin_core.outfit.outfit_options import ROW_OPTIONS, as_option
+
+__all__ = ["JobsError", "crossed", "read_table", "rows_of"]
+
+WORN = ("avatar", "rig", "bones", "own_clothes", "garment", "tucked", "fit")
+"""What a binding depends on."""
+COLUMNS = ("name", "avatar", "motion", *ROW_OPTIONS)
+AVATARS, MOTIONS = GLTF_SUFFIXES + MESH_SUFFIXES, (".safetensors", *CLIP_SUFFIXES, *LANDMARK_SUFFIXES, *BAG_SUFFIXES)
+BESIDE = (".bones.json", ".rig.json", ".bin")
+"""Endings of files that are read with one of the same name."""
+
+Table = Iterable[tuple[str, Mapping[str, Any]]]
+"""Of each row where it is, and its values by column."""
+
+
+class JobsError(ValueError):
+    """A table or folder of jobs is not readable, or a row of it is not possible."""
+
+
+def read_table(path: Path) -> Table:
+    """Rows of a .csv with a header, or a .jsonl with an object a line. Raises JobsError for what is neither, a table
+    without rows, and a row that is longer than the header."""
+    if (kind := path.suffix.lower()) not in (".csv", ".jsonl"):
+        raise JobsError(f"{path}: the extension {kind!r} is unknown; allowed: .csv, .jsonl")
+    with reading(f"table {path}", JobsError):
+        lines = read_text(path).splitlines()
+        rows = list(csv.DictReader(lines) if kind == ".csv" else map(json.loads, filter(str.strip, lines)))
+        for number, row in enumerate(rows, 1):
+            if not isinstance(row, dict) or None in row:
+                raise ContentError(f"row {number} is no object, or longer than the header")
+        if not rows:
+            raise ContentError(f"it has no rows; allowed columns: {', '.join(COLUMNS)}")
+    return [(f"{path}, row {number}", row) for number, row in enumerate(rows, 1)]
+
+
+def crossed(avatars: Path | None, motions: Path) -> Table:
+    """A row for each motion in a folder and its folders, on each avatar of another. avatars: None for that of the
+    command line. Raises JobsError where a folder has none."""
+    clips = list(_files("--motions", motions, MOTIONS))
+    for name, avatar in _files("--avatars", avatars, AVATARS) if avatars else [("", None)]:
+        for clip_name, clip in clips:
+            cells = {"name": f"{name}-{clip_name}", "avatar": avatar} if avatar else {"name": clip_name}
+            yield str(clip), cells | {"motion": clip}
+
+
+def _files(option: str, folder: Path, suffixes: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
+    """Names and paths of files."""
+    found = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in suffixes and path.is_file())
+    if not (files := [path for path in found if not path.name.endswith(BESIDE)]):
+        raise JobsError(f"{option} {folder}: no such folder, or no such files in it; allowed: {', '.join(suffixes)}")
+    return ((path.relative_to(folder).with_suffix("").as_posix().replace("/", "-"), path) for path in files)
+
+
+def rows_of(table: Table, defaults: argparse.Namespace, kind: str) -> list[FolderRow]:
+    """Rows as they are done. A value of the table goes before the command line's.
+
+    defaults: as of `command_parser`. kind: suffix of what is written. Raises JobsError naming row and value, for an
+    unknown column, a value that is not allowed, a row without motion, and a name that is taken or no folder's.
+    """
+    rows: dict[str, tuple[str, FolderRow]] = {}
+    for place, cells in table:
+        options = argparse.Namespace(**{"motion": None} | vars(defaults))
+        for column, value in cells.items():
+            if column not in COLUMNS:
+                raise JobsError(f"{place}: unknown column {column!r}; allowed: {', '.join(COLUMNS)}")
+            try:
+                if value not in (None, ""):
+                    setattr(options, column.replace("-", "_"), as_option(column, value))
+            except ValueError as error:
+                raise JobsError(f"{place}: {error}") from error
+        if options.motion is None:
+            raise JobsError(f"{place}: it has no motion; give a file or one of {', '.join(bundled_motions())}")
+        file, clip = split_clip_name(options.motion)
+        stem = "-".join(filter(None, (Path(options.avatar).stem, file.stem, re.sub(r"[^\w.]+", "_", clip))))
+        name = getattr(options, "name", stem)
+        if not re.fullmatch(r"[^./\\\0][^/\\\0]*", name):
+            raise JobsError(f"{place}: name {name!r} is no folder's; allowed: no slash, and no dot at first")
+        if (other := rows.setdefault(name.casefold(), (place, None))[0]) != place:
+            raise JobsError(f"{place}: {other} is called {name!r}, too; give each its own in the column name")
+        chosen = {option: str(getattr(options, option.replace("-", "_"))) for option in ROW_OPTIONS}
+        files = [options.avatar, options.motion, *(options.garment or ()), options.rig, options.bones]
+        digest = hashlib.sha256("".join(map(_digest, map(str, filter(None, files)))).encode()).hexdigest()
+        settings = chosen | {"kind": kind, "physkin": version("physkin"), "sha256": digest}
+        shares = tuple(str(getattr(options, field)) for field in WORN)
+        rows[name.casefold()] = place, FolderRow(name, options, settings, shares)
+    return [row for _, row in rows.values()]
+
+
+@cache
+def _digest(name: str) -> str:
+    """Of a file, of all in a folder, or of what is shipped, and of what is read with it; empty where there is none."""
+    path, _ = split_clip_name(split_fabric(name)[0])
+    shipped = [folder / f"{path}.safetensors" for folder in (MODELS_PATH, MOTIONS_DIRECTORY)]
+    beside = [path.with_suffix(ending) for ending in BESIDE]
+    files = [file for file in (path, *sorted(path.rglob("*")), *beside, *shipped) if file.is_file()]
+    return "".join(hashlib.file_digest(file.open("rb"), "sha256").hexdigest() for file in files)
