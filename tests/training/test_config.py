@@ -81,7 +81,7 @@ def test_shipped_models_are_runs_of_the_recipe(name):
     wanted["optimisation"]["steps"] = steps
     trained = {key: training[key] for key in wanted}
     trained["optimisation"] = {"patience": 0} | trained["optimisation"]  # there were no such choices at first
-    trained["networks"] = {"pose_rank": 0} | trained["networks"]
+    trained["networks"] = {"pose_rank": 0, "drapes": 0} | trained["networks"]
     assert trained == wanted
 
 

@@ -23,6 +23,7 @@ FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.pop
 EXCEPTIONS = {
     ("physkin_core/worker/shared_arrays.py", "pickle"),  # of the process that loads
     ("physkin_ros/middleware/transport.py", "socket"),  # looks for a free domain, for demo, bench and tests
+    ("physkin_core/cluster/cluster.py", "socket"),  # asks whether a cluster answers where its user says
     ("physkin_core/view/page.py", "socket"),  # the page listens, as its user asks
     ("physkin_core/extras.py", "urllib.request"),  # the path of a file: address
 }

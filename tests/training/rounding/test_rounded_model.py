@@ -6,6 +6,7 @@ from random_models import random_model
 
 from physkin_core import Draper, load_avatar, load_body_model, save_garment_model
 from physkin_core.avatar.loading import BUNDLED_AVATAR
+from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_training.rounding import rounded_model as rounded_models
 from physkin_training.rounding.compensated_rounding import Rounding, compensated_rounding
 from physkin_training.rounding.rounded_model import rounded_model
@@ -45,9 +46,12 @@ def test_a_rounded_model_drapes_the_same_in_fewer_bytes(pose_rank, tmp_path, mon
         sizes.append((tmp_path / "model.safetensors").stat().st_size)
     assert sizes[1] < sizes[2] < sizes[0]
     avatar = load_avatar(BUNDLED_AVATAR, model.rig)
-    exact, *others = (Draper(each, avatar).drape(model.rig.rest)[:, :3] for each in (model, rounded, finely))
-    moved = [np.linalg.norm(other - exact, axis=1).mean() for other in others]
-    assert 0 < moved[1] < 0.6 * moved[0] < 3e-3
+    poses = list(zip(*everyday_poses(rig)))[::4]
+    exact, *others = (
+        np.array([Draper(each, avatar).drape(*pose)[:, :3] for pose in poses]) for each in (model, rounded, finely)
+    )
+    moved = [np.linalg.norm(other - exact, axis=-1).mean() for other in others]
+    assert 0 < moved[1] < 0.9 * moved[0] < 4e-3, "eight bits alone move random networks by 1 to 2 mm"
 
 
 def test_a_model_of_another_rig_is_refused():

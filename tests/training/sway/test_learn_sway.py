@@ -79,7 +79,7 @@ def test_the_file_sways_as_the_network_that_was_learnt(band, monkeypatch):
     ("options", "said"),
     [
         (("--bodies", "0"), "--bodies must be at least 1, got 0"),
-        (("--bodies", "9999"), "--bodies must be at most 512, got 9999"),
+        (("--bodies", "9999"), "--bodies must be at most 768, got 9999"),
         (("--walkers", "1"), "--walkers must be at least 2, got 1"),
         (("--seconds", "0.4"), "--seconds must be at least 0.5, got 0.4"),
         (("--seconds", "nan"), "--seconds must be at least 0.5, got nan"),

@@ -11,7 +11,7 @@ from random_models import random_model, tube
 from training.small_runs import waist_band_model
 
 from physkin_core import Garment
-from physkin_core.avatar.body_model import load_body_model
+from physkin_core.avatar.body_model import ADULT_STATURE, load_body_model
 from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_training.energies.motion import Dynamics
 from physkin_training.sway import walker_simulation
@@ -43,13 +43,14 @@ def simulation():
 
 @pytest.fixture(scope="module")
 def bell():
-    """The same bodies and walkers in a bell from the waist to the knees, 5 cm off the hips, that its waist holds."""
+    """Two adults, as many walkers each, in a bell from waist to knees, 5 cm off the hips, that its waist holds."""
     about = tube(rings=9, segments=20, radius=0.25, height=0.4)
     garment = Garment(about.vertices + [0, 0, -0.1], about.faces)
     model = random_model(np.random.default_rng(1), rig=BODY_MODEL.rig, garment=garment, nodes=16, correction=0.0)
     model = replace(model, node_bone=np.zeros_like(model.node_bone))  # all on the pelvis
     free = model.node_rest[:, 2] <= 0.0
-    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_bodies[[5, 9]], 2, CPU, free=free)
+    adults = BODY_MODEL.train_bodies[BODY_MODEL.statures(BODY_MODEL.train_bodies) > ADULT_STATURE]
+    return WalkerSimulation(model, BODY_MODEL, adults[[5, 9]], 2, CPU, free=free)
 
 
 def motions(acceleration: float, frames: int, *, wind: float = 0.0) -> WalkerMotions:

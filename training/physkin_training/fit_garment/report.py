@@ -35,8 +35,8 @@ FIRST_POSES = 2
 PICTURE_SECONDS = 30.0
 """The first pictures, with what they load and compile."""
 SHEET_POSES = 6
-BODY = Template("""<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes, to step $steps of
-$all_steps of $samples poses each, on $device.</p>
+BODY = Template("""<p>$vertices vertices, $nodes garment nodes; trained for $minutes minutes,
+to step $steps of $all_steps of $samples poses each, on $device.</p>
 <h2>In short</h2>
 $undertrained
 $in_short

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import BodyModel
+from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_training.networks.export import drape_from_model, encode_bodies
@@ -21,7 +21,8 @@ from physkin_training.networks.export import drape_from_model, encode_bodies
 __all__ = ["transferred_sway"]
 
 BODIES, POINTS = 64, 512
-"""Training bodies, and points of each that the encoder sees: an eighth of all, as for rounding."""
+"""Adult training bodies, as an older model knows no others, and points of each that the encoder sees: an eighth of all,
+as for rounding."""
 RIDGE = 1e-2
 """Of the largest spread of modulations; below it, directions are not told apart by so few bodies."""
 
@@ -31,7 +32,8 @@ def transferred_sway(
 ) -> SwayNetwork:
     """The sway network of `start`, which has one, for `model`, which has its garment nodes and was trained from it."""
     sway = start.sway
-    chosen = body_model.train_bodies[np.random.default_rng(0).permutation(len(body_model.train_bodies))[:BODIES]]
+    adults = body_model.train_bodies[body_model.statures(body_model.train_bodies) >= ADULT_STATURE]
+    chosen = adults[np.random.default_rng(0).permutation(len(adults))[:BODIES]]
     surfaces = np.stack([body_model.vertices(body) for body in chosen])
 
     def modulations(each: GarmentModel) -> np.ndarray:
