@@ -59,8 +59,8 @@ def test_wind_of_the_command_blows_on_the_page(folder):
 
 @made
 def test_cloth_in_the_browser_is_the_native_one(browser, monkeypatch):
-    """0.2 mm from it at most: the browser has no fused multiply-adds, so that an activation may be rounded the other
-    way, layer after layer."""
+    """0.1 mm from it on average: the browser has no fused multiply-adds, so that an activation may be rounded the other
+    way, layer after layer, and contact takes another plane where two are equally deep: 0.4 mm at most."""
     monkeypatch.setenv("PHYSKIN_NATIVE_ISA", "baseline")
     models = [load_garment_model(name) for name in GARMENTS]
     outfit = Outfit(models, load_avatar(BUNDLED_AVATAR, models[0].rig), hide_covered=False)
@@ -72,7 +72,8 @@ def test_cloth_in_the_browser_is_the_native_one(browser, monkeypatch):
     )
     for positions, wanted in zip(found, outfit.drape(pose)):
         cloth = np.reshape(positions, (-1, 3)) @ FROM_ROOT_FRAME
-        assert np.linalg.norm(cloth - wanted[:, :3], axis=1).max() < 2e-4
+        off = np.linalg.norm(cloth - wanted[:, :3], axis=1)
+        assert off.mean() < 1e-4 and off.max() < 4e-4
 
 
 @made
