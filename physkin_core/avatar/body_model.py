@@ -86,6 +86,11 @@ class BodyModel:
         bones = self.mean_bones + np.tensordot(coefficients, self.bone_components, axes=1)
         return bones[:, 0], bones[:, 1]
 
+    @property
+    def train_adults(self) -> np.ndarray:
+        """(s, c) those of `train_bodies` that are as tall as adults."""
+        return self.train_bodies[self.statures(self.train_bodies) >= ADULT_STATURE]
+
     def statures(self, coefficients: np.ndarray) -> np.ndarray:
         """How tall bodies stand in the canonical pose.
 

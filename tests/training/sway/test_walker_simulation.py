@@ -11,7 +11,7 @@ from random_models import random_model, tube
 from training.small_runs import waist_band_model
 
 from physkin_core import Garment
-from physkin_core.avatar.body_model import ADULT_STATURE, load_body_model
+from physkin_core.avatar.body_model import load_body_model
 from physkin_core.runtime.frame_input import STANDARD_GRAVITY
 from physkin_training.energies.motion import Dynamics
 from physkin_training.sway import walker_simulation
@@ -49,8 +49,7 @@ def bell():
     model = random_model(np.random.default_rng(1), rig=BODY_MODEL.rig, garment=garment, nodes=16, correction=0.0)
     model = replace(model, node_bone=np.zeros_like(model.node_bone))  # all on the pelvis
     free = model.node_rest[:, 2] <= 0.0
-    adults = BODY_MODEL.train_bodies[BODY_MODEL.statures(BODY_MODEL.train_bodies) > ADULT_STATURE]
-    return WalkerSimulation(model, BODY_MODEL, adults[[5, 9]], 2, CPU, free=free)
+    return WalkerSimulation(model, BODY_MODEL, BODY_MODEL.train_adults[[5, 9]], 2, CPU, free=free)
 
 
 def motions(acceleration: float, frames: int, *, wind: float = 0.0) -> WalkerMotions:

@@ -74,8 +74,9 @@ class Evaluation:
     """Held-out bodies and seeded poses for one garment model on one device.
 
     bodies: how many, the first of the held-out adults; or the indices of which ones. of: (S, c) shape coefficients of
-    other bodies than these. fit: of the garment, as in `Draper`; strains are against the rest shape at that fit. watch:
-    is told of every batch how many measured pairs it was worth.
+    other bodies than these. fit: of the garment, as in `Draper`; strains are against the rest shape at that fit.
+    wearing: of the garment, if it has been found already. watch: is told of every batch how many measured pairs it was
+    worth.
     Raises ValueError when the model is for another rig than the body model's, or there are not so many bodies.
     """
 
@@ -90,6 +91,7 @@ class Evaluation:
         batch: int = 64,
         of: np.ndarray | None = None,
         fit: float | None = None,
+        wearing: Wearing | None = None,
         watch: Callable[[int], None] = lambda pairs: None,
     ) -> None:
         fit = checked_fit(model, fit)
@@ -109,14 +111,14 @@ class Evaluation:
         self.bodies = BodySet(body_model, held_out[list(bodies)], device)
         self.batch = min(batch, len(bodies) * poses)
         self.posed_bodies = PosedBodies(body_model, self.bodies, self.batch)
-        wearing = Wearing.of(model.garment, body_model)
+        self.wearing = wearing or Wearing.of(model.garment, body_model)
         self._fits: MadeToMeasure | None = None
         if fit:
             self._fits = MadeToMeasure(model.garment, self.drape, self.bodies, body_model, fit=fit)
         shapes = self._fits.shapes if self._fits else None
         self.rest = RestData(model.garment, model.material, device, shapes=shapes)
         self.losses = PhysicsLosses(
-            model.garment, model.material, self.batch, device, wearing=wearing, reach=REACH, rest=self.rest
+            model.garment, model.material, self.batch, device, wearing=self.wearing, reach=REACH, rest=self.rest
         )
         self._body_model = body_model
         self.modulations = encode_bodies(self.drape, self.bodies.vertices.cpu().numpy(), body_model.faces, fit=fit)
@@ -379,6 +381,7 @@ def evaluate_model(
     watch = counting_line(f"measuring {model.name}", measured + MINIMUM_COST * minimised)
     given = {"bodies": bodies, "poses": poses, "seed": seed, "batch": batch, "watch": watch}
     evaluation = Evaluation(model, device, **given, fit=0.0)
+    given["wearing"] = evaluation.wearing
     scores: dict = evaluation.figures(upright=True)
     scores["tilted"] = evaluation.figures(upright=False, only=["model"])["model"]
     scores["counts"] = {"bodies": bodies, "poses": poses, "seed": seed, "pairs": scores["model"]["pairs"]}

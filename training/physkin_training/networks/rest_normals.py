@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch.nn.functional import normalize
 
-from physkin_core.avatar.body_model import ADULT_STATURE, load_body_model
+from physkin_core.avatar.body_model import load_body_model
 from physkin_core.model.garment import Garment, vertex_normals
 from physkin_core.rig.rig import Rig
 from physkin_training.networks.draping import Drape
@@ -42,8 +42,7 @@ def fitted_rest_normals(
     if rig.to_json() != body_model.rig.to_json():
         raise ValueError("normals are fitted on the body model's bodies; this garment has another rig")
     device = drape.node_rest.device
-    adults = body_model.train_bodies[body_model.statures(body_model.train_bodies) >= ADULT_STATURE]
-    body_set = BodySet(body_model, adults[:bodies], device)
+    body_set = BodySet(body_model, body_model.train_adults[:bodies], device)
     node_positions = drape.node_positions(body_set)
     modulations = encode_bodies(drape, body_set.vertices.cpu().numpy(), body_model.faces)
     heads = body_set.heads.cpu().numpy()

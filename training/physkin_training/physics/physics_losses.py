@@ -27,7 +27,7 @@ from physkin_training.energies.self_contact import SelfContact
 from physkin_training.energies.stretch import Stretch
 from physkin_training.quiet_warp import wp
 
-__all__ = ["TERMS", "Energies", "PhysicsLosses", "lightened"]
+__all__ = ["TERMS", "Energies", "PhysicsLosses", "gradient_weight", "lightened"]
 
 TERMS = ("stretch", "bend", "collision", "self_contact", "gravity", "band", "threads")
 """The energies, in the order of `Energies`."""
@@ -59,9 +59,13 @@ class Energies:
         return self.total - self.gravity
 
 
+def gradient_weight(energy: torch.Tensor, heavy_energy: float) -> torch.Tensor:
+    """What the gradient of a sample of energy E [J] counts in `PhysicsLosses`: 1 / sqrt(1 + E / heavy_energy)."""
+    return torch.rsqrt(1 + energy / heavy_energy)
+
+
 def lightened(energy: torch.Tensor, heavy_energy: float) -> torch.Tensor:
-    """What an energy E [J] counts where its gradient is weighted as a sample's in `PhysicsLosses`: the integral of
-    1 / sqrt(1 + E / heavy_energy)."""
+    """What an energy E [J] counts where its gradient is weighted as a sample's: the integral of `gradient_weight`."""
     return 2 * heavy_energy * ((1 + energy / heavy_energy).sqrt() - 1)
 
 
@@ -144,7 +148,7 @@ class _PhysicsEnergy(torch.autograd.Function):
         energies, gradient = losses.evaluate(x, gravity, body, body_offset)
         if math.isfinite(losses.heavy_energy):
             strained = sum(energies[name] for name in TERMS if name != "gravity")
-            gradient = gradient * torch.rsqrt(1 + strained / losses.heavy_energy)[:, None, None]
+            gradient = gradient * gradient_weight(strained, losses.heavy_energy)[:, None, None]
         ctx.save_for_backward(gradient)
         parts = tuple(energies.values())
         ctx.mark_non_differentiable(*parts)

@@ -29,7 +29,7 @@ from physkin_training.energies.self_contact import SOFTNESS
 from physkin_training.networks.draping import Drape, RestShape
 from physkin_training.networks.garment_nodes import DetailNodeSet, GarmentNodeSet
 from physkin_training.networks.made_to_measure import MadeToMeasure
-from physkin_training.physics.physics_losses import TERMS, PhysicsLosses
+from physkin_training.physics.physics_losses import TERMS, PhysicsLosses, gradient_weight
 from physkin_training.recorded_step import RecordedStep
 from physkin_training.sampling.bending import drawn_bending
 from physkin_training.sampling.pose_sampling import PoseSampler
@@ -381,7 +381,7 @@ class Trainer:
         loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
         self._stretch_and_collision.copy_(energies.stretch + energies.collision)
-        return loss + self._untangling(vertices, torch.rsqrt(1 + energies.strained / HEAVY_ENERGY))
+        return loss + self._untangling(vertices, gradient_weight(energies.strained, HEAVY_ENERGY))
 
     @torch.no_grad()
     def _update_average(self) -> None:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from physkin_core.avatar.body_model import ADULT_STATURE, BodyModel
+from physkin_core.avatar.body_model import BodyModel
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.sway_network import SwayNetwork
 from physkin_training.networks.export import drape_from_model, encode_bodies
@@ -32,7 +32,7 @@ def transferred_sway(
 ) -> SwayNetwork:
     """The sway network of `start`, which has one, for `model`, which has its garment nodes and was trained from it."""
     sway = start.sway
-    adults = body_model.train_bodies[body_model.statures(body_model.train_bodies) >= ADULT_STATURE]
+    adults = body_model.train_adults
     chosen = adults[np.random.default_rng(0).permutation(len(adults))[:BODIES]]
     surfaces = np.stack([body_model.vertices(body) for body in chosen])
 
