@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from physkin_training.contact.wearing import Wearing
 from physkin_training.energies.energy import Blocks, Cloth, Drapes, Energy, Rest, view
@@ -38,6 +39,7 @@ def centre_of(body: wp.uint64, face: int):
 def collision_kernel(
     rest: Rest,
     drapes: Drapes,
+    order: wp.array(dtype=wp.int32),
     stiffness: wp.array(dtype=wp.float32),
     contact_offset: wp.float32,
     linear_beyond: wp.float32,
@@ -56,20 +58,27 @@ def collision_kernel(
     signed_distance: wp.array2d(dtype=wp.float32),
     at_worn_part: wp.array2d(dtype=wp.bool),
 ):
-    """One vertex of one sample. own_face: face of the body that each vertex lies on, far_face: the one across the limb,
-    or -1. inside_out: its normal points into the body. A bone of `other_limb` presses cloth only towards it, so that
-    cloth which came out on the limb's far side is not held there; leads_back: a vertex lost inside the body, or beyond
-    its limb, is pushed before it."""
-    s, v = wp.tid()
+    """One vertex of one sample. order: of vertices, so that threads beside each other look in the same places.
+    own_face: face of the body that each vertex lies on, so that no closest point is farther, or -1. far_face: the one
+    across the limb, or -1. inside_out: its normal points into the body. A bone of `other_limb` presses cloth only
+    towards it, so that cloth which came out on the limb's far side is not held there; leads_back: a vertex lost inside
+    the body, or beyond its limb, is pushed before it."""
+    s, k = wp.tid()
+    v = order[k]
     body = drapes.body
     point = drapes.x[s, v] + drapes.offset[s]
     own = s * face_bone.shape[0] + own_face[v]
+    own_centre = wp.vec3(0.0, 0.0, 0.0)
+    within = reach
+    if own_face[v] >= 0:
+        own_centre = centre_of(body, own)
+        within = wp.min(reach, 1.001 * wp.length(point - own_centre) + 1.0e-5)
     lost = False
     if leads_back and far_face[v] >= 0:
-        own_centre, far_centre = centre_of(body, own), centre_of(body, s * face_bone.shape[0] + far_face[v])
+        far_centre = centre_of(body, s * face_bone.shape[0] + far_face[v])
         across = own_centre - far_centre
         lost = wp.dot(point - 0.5 * (own_centre + far_centre), across) < -ACROSS * wp.length(across)
-    hit = wp.mesh_query_point_sign_normal(body, point, reach)
+    hit = wp.mesh_query_point_sign_normal(body, point, within)
     energy[s, v] = 0.0
     slope[s, v] = 0.0
     curvature[s, v] = 0.0
@@ -108,14 +117,14 @@ def collision_kernel(
         depth = contact_offset - wp.dot(point - centre_of(body, own), outward)
     if depth <= 0.0:
         return
-    k = stiffness[0] * rest.vertex_area[rest.row[s], v]
+    k_area = stiffness[0] * rest.vertex_area[rest.row[s], v]
     bounded = wp.min(depth, limit)
-    energy[s, v] = k * bounded * (2.0 * depth - bounded)
-    slope[s, v] = 2.0 * k * bounded
+    energy[s, v] = k_area * bounded * (2.0 * depth - bounded)
+    slope[s, v] = 2.0 * k_area * bounded
     if depth < limit:
-        curvature[s, v] = 2.0 * k
+        curvature[s, v] = 2.0 * k_area
     out_of_body[s, v] = outward
-    wp.atomic_add(drapes.gradient, s, v, outward * (-2.0 * k * bounded))
+    wp.atomic_add(drapes.gradient, s, v, outward * (-2.0 * k_area * bounded))
 
 
 class Collision(Energy):
@@ -140,12 +149,13 @@ class Collision(Energy):
             cloth.array(np.zeros(1) if wearing is None else wearing.face_bone),
             cloth.array(everywhere if wearing is None else wearing.worn, wp.bool),
             cloth.array(~everywhere if wearing is None else wearing.other_limb, wp.bool),
-            cloth.array(np.zeros(n) if wearing is None else wearing.own_face),
+            cloth.array(np.full(n, -1) if wearing is None else wearing.own_face),
             cloth.array(np.full(n, -1) if wearing is None else wearing.far_face),
             cloth.array(np.zeros(n) if wearing is None else wearing.inside_out, wp.bool),
             leads_back and wearing is not None,
         )
         self._stiffness = wp.from_torch(self.stiffness)
+        self._order = cloth.array(cKDTree(cloth.garment.vertices).indices)
         self.signed_distance, self.at_worn_part = cloth.zeros(n), cloth.zeros(n, dtype=torch.bool)
         self.state = slope, curvature, out_of_body = cloth.zeros(n), cloth.zeros(n), cloth.zeros(n, 3)
         self._derivatives = wp.from_torch(slope), wp.from_torch(curvature), view(out_of_body)
@@ -153,7 +163,7 @@ class Collision(Energy):
 
     def evaluate(self, drapes: Drapes) -> None:
         limits = self.cloth.material.contact_offset, self.linear_beyond, self.reach
-        given = self._rest, drapes, self._stiffness, *limits, *self._wearing
+        given = self._rest, drapes, self._order, self._stiffness, *limits, *self._wearing
         self._launch(collision_kernel, *given, self._energy, *self._derivatives, *self._where)
 
     def add_second_derivative(self, drapes: Drapes, blocks: Blocks) -> None:

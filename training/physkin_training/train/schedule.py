@@ -51,6 +51,11 @@ class Schedule:
     encoder_points: int
     reach: float
 
+    @property
+    def recorded(self) -> tuple:
+        """What a recorded step holds fixed: where it changes, the step is recorded anew."""
+        return self.encoder_points, self.reach, self.self_contact > 0
+
     @classmethod
     def at(cls, step: int, config: TrainingConfig) -> Schedule:
         """The schedule of the step after `step` finished ones."""

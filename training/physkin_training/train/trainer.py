@@ -295,7 +295,7 @@ class Trainer:
             self.drape.prune_engine_influences(schedule.engine_influences)
             self.averaged.engine_bias.copy_(self.drape.engine_bias)
         self.losses.collision.reach = schedule.reach
-        if (schedule.encoder_points, schedule.reach) != (before.encoder_points, before.reach):
+        if schedule.recorded != before.recorded:
             self._recorded.forget()
 
     def validate(self) -> None:
@@ -381,7 +381,9 @@ class Trainer:
         loss, energies = self.losses(vertices, gravity, self.posed_bodies.mesh, self.posed_bodies.offset)
         self._energy_sum += torch.stack([getattr(energies, term).mean() for term in TERMS])
         self._stretch_and_collision.copy_(energies.stretch + energies.collision)
-        return loss + self._untangling(vertices, gradient_weight(energies.strained, HEAVY_ENERGY))
+        if self.schedule.self_contact:
+            loss = loss + self._untangling(vertices, gradient_weight(energies.strained, HEAVY_ENERGY))
+        return loss
 
     @torch.no_grad()
     def _update_average(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from physkin_core.model.garment import Garment
 from physkin_training.contact.contours import faces_of_edges, goes_through_face, way_out
@@ -83,10 +84,11 @@ class Untangling:
             view(self._points.view(-1, 3)), wp.array(faces.reshape(-1), dtype=wp.int32, device=self._device)
         )
         _, opposite = faces_of_edges(garment.faces, garment.face_edges, len(garment.edges))
+        order = cKDTree(garment.vertices[garment.edges].mean(axis=1)).indices  # threads look in the same places
         self._sheet = Sheet()
         self._sheet.vertices = n
-        self._sheet.edges = wp.array(garment.edges, dtype=wp.vec2i, device=self._device)
-        self._sheet.opposite = wp.array(opposite, dtype=wp.vec2i, device=self._device)
+        self._sheet.edges = wp.array(garment.edges[order], dtype=wp.vec2i, device=self._device)
+        self._sheet.opposite = wp.array(opposite[order], dtype=wp.vec2i, device=self._device)
         self._sheet.area = wp.array(garment.vertex_areas, dtype=wp.float32, device=self._device)
 
     def __call__(self, vertices: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
