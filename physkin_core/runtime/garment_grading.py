@@ -110,39 +110,31 @@ class GarmentGrading:
 
 
 class _Smoothing:
-    """Smooths fields over a garment. trust: (n,) in what they say. penalty: sparse (n, n), of what bends. order: (n,)
-    in which vertices are solved for."""
+    """Smooths fields over a garment. trust: (n,) in what they say. penalty: sparse (n, n), of what bends."""
 
-    def __init__(self, trust: np.ndarray, penalty, order: np.ndarray) -> None:
+    def __init__(self, trust: np.ndarray, penalty) -> None:
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        self._trust, self._order = trust, order
-        system = (diags_array(trust) + penalty).tocsc()
-        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._system = splu(system[order][:, order].tocsc(), permc_spec="NATURAL", **symmetric)
+        symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._trust, self._system = trust, splu((diags_array(trust) + penalty).tocsc(), **symmetric)
 
     def smooth(self, fields: np.ndarray) -> np.ndarray:
         """(..., n, 3) of (..., n, 3)."""
         columns = np.moveaxis(fields, -2, 0)
-        trusted = self._trust[self._order, None] * columns[self._order].reshape(len(columns), -1)
-        smooth = np.empty_like(trusted)
-        smooth[self._order] = self._system.solve(trusted)
+        smooth = self._system.solve(self._trust[:, None] * columns.reshape(len(columns), -1))
         return np.moveaxis(smooth.reshape(columns.shape), 0, -2)
 
 
 def _smoothings(garment: Garment, distance: np.ndarray, *lengths: float) -> list[_Smoothing]:
     """One for each length [m] over which to smooth, with the less trust the farther, distance (n,) [m], the body is."""
     from scipy.sparse import diags_array
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
     stiffness = _laplacian(garment)
     bending = stiffness @ diags_array(1 / areas) @ stiffness
     trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
-    # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
-    order = reverse_cuthill_mckee((diags_array(trust) + bending).tocsc(), symmetric_mode=True)
-    return [_Smoothing(trust, length**4 * bending, order) for length in lengths]
+    return [_Smoothing(trust, length**4 * bending) for length in lengths]
 
 
 def _along(ways: np.ndarray, directions: np.ndarray) -> np.ndarray:
