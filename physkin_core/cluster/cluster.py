@@ -7,18 +7,19 @@ import logging
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Cluster", "Outcome", "add_address", "joined", "tried"]
+__all__ = ["Outcome", "add_address", "done_on_cluster", "tried"]
 
 LETTING_GO = 60.0
 """Time [s] that work gets to write what it keeps when all is stopped."""
-ANSWER = 5.0
-"""Time [s] that a cluster gets to answer."""
+ANSWER, LOOK_EVERY = 5.0, 2.0
+"""Times [s] that a cluster gets to answer, and between looks at what has ended."""
 RETRIES = 3
 """New attempts for a batch whose worker was lost."""
+LONGEST_BATCH = 64
+"""Rows that share a binding: a second of it is little beside them."""
 
 
 @dataclass(frozen=True)
@@ -45,69 +46,26 @@ def tried(work: Callable[[Any], Any], rows: Sequence[Any], folder: str = ".") ->
     return outcomes
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """cpus, gpus: what a batch gets. at_once: most batches at a time."""
+def done_on_cluster(
+    work: Callable[[Any], Any],
+    rows: Sequence[Any],
+    *,
+    address: str | None,
+    cpus: int = 1,
+    device: str | None = "cpu",
+    alone: bool = False,
+) -> Iterator[Outcome | None]:
+    """Every row with how it ended, as batches end; None every `LOOK_EVERY` seconds in which none has. The cluster is
+    that at an address; without one, what `RAY_ADDRESS` names or runs on this machine, else one that is started here and
+    ended with the rows.
 
-    cpus: int
-    gpus: int
-    at_once: int
-
-    @property
-    def device(self) -> str:
-        """Where work that may use a GPU is done."""
-        return "cuda" if self.gpus else "cpu"
-
-    def run(
-        self, work: Callable[[Any], Any], batches: Sequence[Sequence[Any]], *, look_every: float, alone: bool = False
-    ) -> Iterator[Outcome | None]:
-        """Every row with how it ended, as batches end; None every `look_every` seconds in which none has.
-
-        work: is called again for rows of a batch whose worker was lost. After `RETRIES` the rows of such a batch are
-        tried by themselves, so that a row that ends its process takes no other one with it. alone: each batch has a
-        process of its own, so that no other one sees what it leaves behind, in memory or of a crash.
-        When the caller stops listening, running work is interrupted (KeyboardInterrupt), and no more begins.
-        """
-        import ray
-
-        options = {"num_cpus": self.cpus, "num_gpus": self.gpus, "max_retries": RETRIES, "max_calls": int(alone)}
-        remote = ray.remote(**options)(tried)
-        here = os.getcwd()  # paths mean the same to workers
-        waiting, running = [list(batch) for batch in reversed(batches)], {}
-        try:
-            while waiting or running:
-                while waiting and len(running) < self.at_once:
-                    batch = waiting.pop()
-                    running[remote.remote(work, batch, here)] = batch
-                done, _ = ray.wait(list(running), timeout=look_every)
-                if not done:
-                    yield None
-                for task in done:
-                    batch = running.pop(task)
-                    try:
-                        yield from ray.get(task)
-                    except ray.exceptions.RayError as error:
-                        if len(batch) > 1:
-                            waiting += [[row] for row in batch]
-                            continue
-                        lost = isinstance(error, ray.exceptions.WorkerCrashedError | ray.exceptions.NodeDiedError)
-                        reason = f"its worker was lost {RETRIES + 1} times" if lost else " ".join(str(error).split())
-                        yield Outcome(batch[0], reason=reason)
-        finally:
-            for task in running:
-                ray.cancel(task)
-            if running:
-                ray.wait(list(running), num_returns=len(running), timeout=LETTING_GO)
-
-
-@contextmanager
-def joined(address: str | None, *, cpus: int = 1, device: str | None = "cpu") -> Iterator[Cluster]:
-    """The Ray cluster at an address; without one, what `RAY_ADDRESS` names or runs on this machine, else one is started
-    here and ended with the block.
-
-    cpus: cores a batch. device: "cpu" to leave GPUs alone, None for one GPU a batch where there are any. Raises
-    ModuleNotFoundError without Ray, ConnectionError where no cluster answers, ValueError where no machine has so many
-    cores or a GPU.
+    work: is called again for rows of a batch whose worker was lost. After `RETRIES` the rows of such a batch are tried
+    by themselves, so that a row that ends its process takes no other one with it. rows: those of equal `shares` are
+    done one after the other. cpus: cores a batch. device: "cpu" to leave GPUs alone, None for one GPU a batch where
+    there are any. alone: each row has a process of its own, so that no other one sees what it leaves behind, in memory
+    or of a crash. When the caller stops listening, running work is interrupted (KeyboardInterrupt), and no more begins.
+    Raises ModuleNotFoundError without Ray, ConnectionError where no cluster answers, ValueError where no machine has so
+    many cores or a GPU.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anybody
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
@@ -116,21 +74,47 @@ def joined(address: str | None, *, cpus: int = 1, device: str | None = "cpu") ->
 
     _check_address(address)
     ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    running: dict[Any, Sequence[Any]] = {}
     try:
         machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        gpus = 1 if device != "cpu" and any(machine.get("GPU", 0) >= 1 for machine in machines) else 0
-        if device == "cuda" and not gpus:
+        with_gpu = [machine for machine in machines if machine.get("GPU", 0) >= 1]
+        if device == "cuda" and not with_gpu:
             raise ValueError("--device cuda: no machine of the cluster has a GPU; allowed: cpu")
-        room = [int(machine.get("CPU", 0)) for machine in machines if machine.get("GPU", 0) >= gpus]
-        if cpus > max(room):
-            raise ValueError(f"--cpus {cpus}: no machine of the cluster has more than {max(room)} for a training")
-        fits = sum(
-            int(min(machine.get("CPU", 0) // cpus, machine["GPU"] if gpus else machine.get("CPU", 0)))
-            for machine in machines
-            if machine.get("GPU", 0) >= gpus
-        )
-        yield Cluster(cpus, gpus, fits)
+        gpus = int(device != "cpu" and bool(with_gpu))
+        machines = with_gpu if gpus else machines
+        most = max(int(machine.get("CPU", 0)) for machine in machines)
+        if cpus > most:
+            raise ValueError(f"--cpus {cpus}: no machine of the cluster has more than {most} for each row")
+        at_once = sum(int(machine["GPU"] if gpus else machine.get("CPU", 0) // cpus) for machine in machines)
+        most, groups = min(LONGEST_BATCH, -(-len(rows) // at_once)), {}
+        for row in rows:
+            groups.setdefault(row.name if alone else row.shares, []).append(row)
+        waiting = [group[k : k + most] for group in groups.values() for k in range(0, len(group), most)][::-1]
+        options = {"num_cpus": cpus, "num_gpus": gpus, "max_retries": RETRIES, "max_calls": int(alone)}
+        remote = ray.remote(**options)(tried)
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                batch = waiting.pop()
+                running[remote.remote(work, batch, os.getcwd())] = batch  # paths mean the same to workers
+            done, _ = ray.wait(list(running), timeout=LOOK_EVERY)
+            if not done:
+                yield None
+            for task in done:
+                batch = running.pop(task)
+                try:
+                    yield from ray.get(task)
+                except ray.exceptions.RayError as error:
+                    if len(batch) > 1:
+                        waiting += [[row] for row in batch]
+                        continue
+                    lost = isinstance(error, ray.exceptions.WorkerCrashedError | ray.exceptions.NodeDiedError)
+                    reason = f"its worker was lost {RETRIES + 1} times" if lost else " ".join(str(error).split())
+                    yield Outcome(batch[0], reason=reason)
     finally:
+        for task in running:
+            ray.cancel(task)
+        if running:
+            ray.wait(list(running), num_returns=len(running), timeout=LETTING_GO)
         ray.shutdown()
 
 

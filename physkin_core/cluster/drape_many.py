@@ -12,7 +12,7 @@ from typing import Any
 
 from physkin_core.cluster.cluster import Outcome, add_address
 from physkin_core.cluster.jobs import JobsError, crossed, read_table, rows_of
-from physkin_core.cluster.rows import FolderRow, do_rows
+from physkin_core.cluster.rows import FolderRow, do_folder_rows
 from physkin_core.export.export import WRITERS, dressed_for
 from physkin_core.html_page import write_page
 from physkin_core.outfit.outfit_options import add_options, add_outfit_options, as_asked, read_motion
@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
         raise JobsError(f"--output {output} is a file; a folder is needed")
     table = read_table(options.jobs) if options.jobs else crossed(options.avatars, options.motions)
     rows = rows_of(table, options, kind)
-    failed = do_rows(rows, partial(_drape, kind), output, partial(_show, output, rows), address=options.address)
+    failed = do_folder_rows(rows, partial(_drape, kind), output, partial(_show, output, rows), address=options.address)
     print(f"wrote {output / PAGE} and {output / TABLE}")
     return 1 if failed else 0
 
@@ -77,15 +77,16 @@ def _drape(kind: str, row: FolderRow, folder: Path) -> dict[str, Any]:
 
 def _show(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> None:
     """Write the page; the table, too, when no more is to come."""
-    reasons = {name: outcome.reason for name, outcome in outcomes.items() if outcome.reason}
-    frames = {name: outcome.result["frames"] for name, outcome in outcomes.items() if not outcome.reason}
-    counts = f"{len(frames)} finished, {len(reasons)} failed, {len(rows) - len(outcomes)} waiting"
-    lines = [f"<p>{counts}; {sum(frames.values()):,} frames.</p>"]
-    lines += [f'<p class="worse">{html.escape(f"{name}: {reasons[name]}")}</p>' for name in list(reasons)[:MOST_SHOWN]]
-    write_page(output / PAGE, f"{len(rows)} rows", "\n".join(lines), refresh=refresh)
+    cells = []
+    for row in rows:
+        outcome = outcomes.get(row.name, Outcome(row))
+        frames = (outcome.result or {}).get("frames")
+        cells.append((row.name, row.order.avatar, row.order.motion, frames, outcome.reason))
+    failed = [html.escape(f"{name}: {reason}") for name, *_, reason in cells if reason]
+    frames = [count for *_, count, _ in cells if count]
+    said = f"{len(frames)} finished, {len(failed)} failed, {len(rows) - len(outcomes)} waiting; {sum(frames):,} frames"
+    lines = [f'<p class="worse">{line}</p>' for line in failed[:MOST_SHOWN]]
+    write_page(output / PAGE, f"{len(rows)} rows", "\n".join([f"<p>{said}.</p>", *lines]), refresh=refresh)
     if not refresh:
         with open(output / TABLE, "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow(["name", "avatar", "motion", "frames", "reason"])
-            for name, order in ((row.name, row.order) for row in rows):
-                table.writerow([name, order.avatar, order.motion, frames.get(name), reasons.get(name)])
+            csv.writer(file).writerows([("name", "avatar", "motion", "frames", "reason"), *cells])

@@ -7,9 +7,10 @@ import csv
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -58,19 +59,17 @@ def read_table(path: Path) -> Table:
 def crossed(avatars: Path | None, motions: Path) -> Table:
     """A row for each motion in a folder and its folders, on each avatar of another. avatars: None for that of the
     command line. Raises JobsError where a folder has none."""
-    clips = list(_files("--motions", motions, MOTIONS))
-    for name, avatar in _files("--avatars", avatars, AVATARS) if avatars else [("", None)]:
-        for clip_name, clip in clips:
-            cells = {"name": f"{name}-{clip_name}", "avatar": avatar} if avatar else {"name": clip_name}
-            yield str(clip), cells | {"motion": clip}
+    bodies = _files("--avatars", avatars, AVATARS) if avatars else [("", None)]
+    for (name, avatar), (clip_name, clip) in product(bodies, _files("--motions", motions, MOTIONS)):
+        yield str(clip), {"name": "-".join(filter(None, (name, clip_name))), "avatar": avatar, "motion": clip}
 
 
-def _files(option: str, folder: Path, suffixes: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
-    """Names and paths of files."""
+def _files(option: str, folder: Path, suffixes: tuple[str, ...]) -> list[tuple[str, Path]]:
+    """Names and paths."""
     found = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in suffixes and path.is_file())
     if not (files := [path for path in found if not path.name.endswith(BESIDE)]):
         raise JobsError(f"{option} {folder}: no such folder, or no such files in it; allowed: {', '.join(suffixes)}")
-    return ((path.relative_to(folder).with_suffix("").as_posix().replace("/", "-"), path) for path in files)
+    return [(path.relative_to(folder).with_suffix("").as_posix().replace("/", "-"), path) for path in files]
 
 
 def rows_of(table: Table, defaults: argparse.Namespace, kind: str) -> list[FolderRow]:
@@ -81,31 +80,34 @@ def rows_of(table: Table, defaults: argparse.Namespace, kind: str) -> list[Folde
     """
     rows: dict[str, tuple[str, FolderRow]] = {}
     for place, cells in table:
-        options = argparse.Namespace(**{"motion": None} | vars(defaults))
-        for column, value in cells.items():
-            if column not in COLUMNS:
-                raise JobsError(f"{place}: unknown column {column!r}; allowed: {', '.join(COLUMNS)}")
-            try:
-                if value not in (None, ""):
-                    setattr(options, column.replace("-", "_"), as_option(column, value))
-            except ValueError as error:
-                raise JobsError(f"{place}: {error}") from error
-        if options.motion is None:
-            raise JobsError(f"{place}: it has no motion; give a file or one of {', '.join(bundled_motions())}")
-        file, clip = split_clip_name(options.motion)
-        stem = "-".join(filter(None, (Path(options.avatar).stem, file.stem, re.sub(r"[^\w.]+", "_", clip))))
-        name = getattr(options, "name", stem)
-        if not re.fullmatch(r"[^./\\\0][^/\\\0]*", name):
-            raise JobsError(f"{place}: name {name!r} is no folder's; allowed: no slash, and no dot at first")
-        if (other := rows.setdefault(name.casefold(), (place, None))[0]) != place:
-            raise JobsError(f"{place}: {other} is called {name!r}, too; give each its own in the column name")
-        chosen = {option: str(getattr(options, option.replace("-", "_"))) for option in ROW_OPTIONS}
-        files = [options.avatar, options.motion, *(options.garment or ()), options.rig, options.bones]
-        digest = hashlib.sha256("".join(map(_digest, map(str, filter(None, files)))).encode()).hexdigest()
-        settings = chosen | {"kind": kind, "physkin": version("physkin"), "sha256": digest}
-        shares = tuple(str(getattr(options, field)) for field in WORN)
-        rows[name.casefold()] = place, FolderRow(name, options, settings, shares)
+        try:
+            row = _row(cells, defaults, kind)
+            if other := rows.get(row.name.casefold()):
+                raise ValueError(f"{other[0]} is called {row.name!r}, too; give each its own in the column name")
+        except ValueError as error:
+            raise JobsError(f"{place}: {error}") from error
+        rows[row.name.casefold()] = place, row
     return [row for _, row in rows.values()]
+
+
+def _row(cells: Mapping[str, Any], defaults: argparse.Namespace, kind: str) -> FolderRow:
+    options = argparse.Namespace(**{"motion": None, "name": None} | vars(defaults))
+    for column, value in cells.items():
+        if column not in COLUMNS:
+            raise ValueError(f"unknown column {column!r}; allowed: {', '.join(COLUMNS)}")
+        if value not in (None, ""):
+            setattr(options, column.replace("-", "_"), as_option(column, value))
+    if options.motion is None:
+        raise ValueError(f"it has no motion; give a file or one of {', '.join(bundled_motions())}")
+    file, clip = split_clip_name(options.motion)
+    stem = "-".join(filter(None, (Path(options.avatar).stem, file.stem, re.sub(r"[^\w.]+", "_", clip))))
+    if not re.fullmatch(r"[^./\\\0][^/\\\0]*", name := options.name or stem):
+        raise ValueError(f"name {name!r} is no folder's; allowed: no slash, and no dot at first")
+    files = [options.avatar, options.motion, *(options.garment or ()), options.rig, options.bones]
+    digest = hashlib.sha256("".join(map(_digest, map(str, filter(None, files)))).encode()).hexdigest()
+    chosen = {option: str(getattr(options, option.replace("-", "_"))) for option in ROW_OPTIONS}
+    settings = chosen | {"kind": kind, "physkin": version("physkin"), "sha256": digest}
+    return FolderRow(name, options, settings, shares=tuple(str(getattr(options, field)) for field in WORN))
 
 
 @cache

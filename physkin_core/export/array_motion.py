@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from mmap import PAGESIZE, mmap
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -28,11 +28,12 @@ __all__ = ["write_array_motion"]
 
 FRAMES = 64
 """Of a chunk: 4.5 MB of a T-shirt."""
-PAGE = 4096
-"""[bytes] Disks take whole pages directly from memory."""
 HEADER = "zarr.json"
-KEPT: WeakKeyDictionary[Outfit, list[list[np.ndarray]]] = WeakKeyDictionary()
-"""Memory for chunks, of outfits that are draped again."""
+DIRECT = getattr(os, "O_DIRECT", 0)
+"""Past the system's cache: nobody reads soon what is written, and to copy it into memory that was not in use takes up
+to two thirds of the time of draping it."""
+MEMORY: WeakKeyDictionary[Outfit, list[list[np.ndarray]]] = WeakKeyDictionary()
+"""Two chunks of each array of points, of outfits that are draped again: fresh memory takes a tenth of the time."""
 
 
 def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Sequence[Look | None] = ()) -> list[str]:
@@ -48,51 +49,46 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
         raise FileExistsError(f"cannot write {path}: it is there, and no Zarr folder; give another name")
     shutil.rmtree(path, ignore_errors=True)
     names, count, rig = [layer.name for layer in outfit.layers], motion.frame_count, outfit.rig
-    length = -(-count // -(-count // FRAMES))  # chunks are all as long, so that little of the last is empty
     said = {"garments": names, "joint_names": rig.joint_names, "motion": motion.name, "rate_hz": motion.rate_hz}
     joints, times, root = motion.positions_for(rig), motion.times, motion.root
-    _describe(path, "group", attributes=said)
     whole = {"joint_positions": joints, "time": times, "root": root}
-    clouds, parts, files, chunks = [], [], [], []
+    _describe(path, "group", attributes=said)
     for layer in outfit.layers:
         _describe(path / layer.name, "group")
         whole |= {f"{layer.name}/faces": layer.faces, f"{layer.name}/vertex_ids": layer.visible}
-        clouds.append(np.empty((len(layer.visible), 6), dtype=np.float32))
-        for name, axes in (("positions", clouds[-1].T[:3]), ("normals", clouds[-1].T[3:])):
-            parts.append(axes)
-            chunk = (length, len(layer.visible), 3)
-            files.append(_add_array(path / layer.name / name, (count, *chunk[1:]), np.float32, chunk))
-            chunks.append(chunk)
     for name, values in whole.items():
-        _add_array(path / name, values.shape, values.dtype, values.shape).write_bytes(np.ascontiguousarray(values))
+        _describe_array(path / name, values.shape, values)
+        (path / name / ".".join("c" + "0" * values.ndim)).write_bytes(np.ascontiguousarray(values))
+    clouds = [np.empty((len(layer.visible), 6), dtype=np.float32) for layer in outfit.layers]
+    halves = [half for cloud in clouds for half in (cloud.T[:3], cloud.T[3:])]
+    folders = [path / name / values for name in names for values in ("positions", "normals")]
+    if outfit not in MEMORY:
+        pages = [(FRAMES * half.size * 4 // PAGESIZE + 1) * PAGESIZE for half in halves]
+        MEMORY[outfit] = [[np.frombuffer(mmap(-1, size), dtype=np.float32) for size in pages] for _ in range(2)]
+    length = -(-count // -(-count // FRAMES))  # chunks are all as long, so that little of the last is empty
+    chunks = [
+        [memory[: length * half.size].reshape(length, half.shape[1], 3) for memory, half in zip(each, halves)]
+        for each in MEMORY[outfit]
+    ]
+    for folder, chunk in zip(folders, chunks[0]):
+        _describe_array(folder, (count, *chunk.shape[1:]), chunk)
     outfit.reset()
-    written, memory = iter(()), _memory(outfit)
+    written: Iterator[None] = iter(())
     with ThreadPoolExecutor(1) as writer:  # the next chunk is draped meanwhile
         for number, start in enumerate(range(0, count, length)):
-            filled = [pages[: 4 * math.prod(chunk)] for pages, chunk in zip(memory[number % 2], chunks)]
-            points = [each.view(np.float32).reshape(chunk) for each, chunk in zip(filled, chunks)]
+            current = chunks[number % 2]
             for row, frame in enumerate(range(start, min(start + length, count))):
                 outfit.drape(joints[frame], time=times[frame], root=root[frame], outs=clouds)
-                for chunk, axes in zip(points, parts):
-                    for out, axis in zip(chunk[row].T, axes):
-                        out[:] = axis
-            for chunk in points:
+                for chunk, half in zip(current, halves):
+                    for axis in range(3):  # thrice as fast as all three at once
+                        chunk[row, :, axis] = half[axis]
+            for chunk in current:
                 chunk[row + 1 :] = 0
             list(written)  # raises what writing has raised
-            to = [file.with_name(f"c.{number}.0.0") for file in files]
-            written = writer.map(_write, to, memory[number % 2], map(len, filled))
+            files = [folder / f"c.{number}.0.0" for folder in folders]
+            written = writer.map(_write, files, current, MEMORY[outfit][number % 2])
         list(written)
     return []
-
-
-def _memory(outfit: Outfit) -> list[list[np.ndarray]]:
-    """Whole pages for a chunk of each array of points, twice. They are kept, as fresh memory takes a tenth of the time
-    of draping."""
-    if outfit not in KEPT:
-        sizes = [12 * FRAMES * len(layer.visible) + 2 * PAGE for layer in outfit.layers for _ in range(2)]
-        blocks = [[np.empty(size, dtype=np.uint8) for size in sizes] for _ in range(2)]
-        KEPT[outfit] = [[block[-block.ctypes.data % PAGE :] for block in half] for half in blocks]
-    return KEPT[outfit]
 
 
 def _describe(folder: Path, kind: str, **said: Any) -> None:
@@ -102,28 +98,24 @@ def _describe(folder: Path, kind: str, **said: Any) -> None:
     (folder / HEADER).write_text(text, encoding="utf-8")
 
 
-def _add_array(folder: Path, shape: tuple[int, ...], dtype: np.dtype, chunk: tuple[int, ...]) -> Path:
-    """Make an array without its values. Returns the file of its first chunk."""
-    parts = {
-        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
+def _describe_array(folder: Path, shape: tuple[int, ...], chunk: np.ndarray) -> None:
+    how = {
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk.shape}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
         "codecs": [{"name": "bytes", "configuration": {"endian": sys.byteorder}}],
     }
-    _describe(folder, "array", shape=shape, data_type=np.dtype(dtype).name, fill_value=0, **parts)
-    return folder / ".".join(["c", *["0"] * len(shape)])
+    _describe(folder, "array", shape=shape, data_type=chunk.dtype.name, fill_value=0, **how)
 
 
-def _write(file: Path, pages: np.ndarray, size: int) -> None:
-    """Write bytes that begin a page, past the system's cache where the file system can. Nobody reads them soon, and to
-    copy them into memory that was not in use takes up to two thirds of the time of draping."""
-    direct = getattr(os, "O_DIRECT", 0)
+def _write(file: Path, values: np.ndarray, memory: np.ndarray) -> None:
+    """Write values that begin some pages of memory, directly where the file system can."""
+    pages = memoryview(memory).cast("B")[: -(-values.nbytes // PAGESIZE) * PAGESIZE]
     try:
-        with open(file, "wb", buffering=0, opener=lambda path, flags: os.open(path, flags | direct, 0o666)) as out:
-            whole = -(-size // PAGE) * PAGE
-            if direct and out.write(pages[:whole]) == whole:
-                out.truncate(size)
+        with open(file, "wb", buffering=0, opener=lambda name, flags: os.open(name, flags | DIRECT, 0o666)) as out:
+            if out.write(pages) == len(pages):
+                out.truncate(values.nbytes)
                 return
     except OSError as error:
         if error.errno != errno.EINVAL:
             raise
-    file.write_bytes(pages[:size])
+    file.write_bytes(values)

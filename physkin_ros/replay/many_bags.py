@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from physkin_core.cluster.cluster import Outcome
-from physkin_core.cluster.rows import FolderRow, do_rows
+from physkin_core.cluster.rows import FolderRow, do_folder_rows
 from physkin_core.motion.bag_reader import BagError
 from physkin_ros.replay.report import write_overview
 
@@ -57,7 +57,9 @@ def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Names
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
     rows = [FolderRow(bag.name, bag, _settings(options, bag)) for bag in bags_in(options.bag)]
     work, show = partial(_replay_into, options, replay_one), partial(_write_page, output, rows)
-    failed = do_rows(rows, work, output, show, called="bags", address=options.address, here=options.address is None)
+    failed = do_folder_rows(
+        rows, work, output, show, called="bags", address=options.address, here=options.address is None
+    )
     print(f"wrote {output / OVERVIEW}")
     return 1 if failed else 0
 

@@ -20,7 +20,7 @@ from physkin_core.cli import main
 from physkin_core.cluster import cluster as ray_cluster
 from physkin_core.cluster.drape_many import KEPT, _drape, command_parser
 from physkin_core.cluster.jobs import read_table, rows_of
-from physkin_core.cluster.rows import UNFINISHED, do_rows
+from physkin_core.cluster.rows import UNFINISHED, FolderRow, do_folder_rows
 from physkin_core.extras import install_command
 from physkin_core.motion.loading import save_motion
 
@@ -66,7 +66,7 @@ def at_once(jobs, tmp_path_factory):
     options = command_parser().parse_args([str(jobs), "-o", str(output)])
     rows = rows_of(read_table(jobs), options, ".zarr")
     with threadpool_limits(1):  # as workers have it: sums of two threads differ by what is rounded
-        assert do_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
+        assert do_folder_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
     return output
 
 
@@ -113,13 +113,17 @@ def test_a_lost_machine_changes_no_byte(machines, jobs, at_once, tmp_path, capsy
 
 def test_a_row_that_ends_its_process_takes_no_other_one_with_it(machines, monkeypatch):
     monkeypatch.setattr(ray_cluster, "RETRIES", 0)
-    rows = [signal.SIGCHLD, signal.SIGKILL, signal.SIGCHLD]
-    with ray_cluster.joined(machines[0].address) as cluster:
-        outcomes = list(filter(None, cluster.run(signal.raise_signal, [rows], look_every=1.0)))
-    assert sorted((outcome.row, outcome.reason) for outcome in outcomes) == [
-        (signal.SIGKILL, "its worker was lost 1 times"),
-        (signal.SIGCHLD, ""),
-        (signal.SIGCHLD, ""),
+    monkeypatch.setattr(ray_cluster, "LONGEST_BATCH", 3)
+    numbers = [signal.SIGCHLD, signal.SIGKILL, signal.SIGCHLD]
+    rows = [FolderRow(f"{each.name}{k}", each, {}) for k, each in enumerate(2 * numbers)]
+    done = ray_cluster.done_on_cluster(lambda row: signal.raise_signal(row.order), rows, address=machines[0].address)
+    assert sorted((outcome.row.name, outcome.reason) for outcome in done if outcome) == [
+        ("SIGCHLD0", ""),
+        ("SIGCHLD2", ""),
+        ("SIGCHLD3", ""),
+        ("SIGCHLD5", ""),
+        ("SIGKILL1", "its worker was lost 1 times"),
+        ("SIGKILL4", "its worker was lost 1 times"),
     ]
 
 
@@ -159,7 +163,7 @@ def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
     for order in (rows, rows[::-1]):
         KEPT.clear()
         output = tmp_path / f"{order[0].name} first"
-        assert do_rows(order, partial(_drape, f".{kind}"), output, lambda *_: None, here=True) == 0
+        assert do_folder_rows(order, partial(_drape, f".{kind}"), output, lambda *_: None, here=True) == 0
     first, last = (contents(tmp_path / f"{row.name} first") for row in rows)
     assert first == last and f"avatar-one/avatar-one.{kind}" in first
 

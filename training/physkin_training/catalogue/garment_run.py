@@ -23,12 +23,16 @@ __all__ = ["LOG", "PICTURE", "train_garment"]
 LOG, PICTURE = "log.txt", "picture.jpg"
 
 
-def train_garment(job: Job, device: str) -> Status:
-    """Check, train and report on the job's garment as `physkin fit-garment` does; go on where it was stopped.
+def train_garment(job: Job) -> Status:
+    """Check, train and report on the job's garment as `physkin fit-garment` does; go on where it was stopped. On a GPU
+    if Ray has given this process one.
 
-    All that this process prints from here on goes into the log in the garment's folder. A mesh that is refused, or
-    training that fails, is a status, not an exception.
+    All that this process prints from here on goes into the log in the garment's folder. Raises as `fit_garment` does
+    for a mesh that is refused, and whatever training ends with.
     """
+    import ray
+
+    device = "cuda" if ray.get_gpu_ids() else "cpu"
     resumes = stage(job) == "resumes"
     status = read_status(job) or Status(job.fingerprint, "training", starts=0)
     resumed_at = [*status.resumed_at, checkpoint_step(job.folder / CHECKPOINT)] if resumes else []
@@ -42,14 +46,10 @@ def train_garment(job: Job, device: str) -> Status:
     try:
         fitted = fit_garment(job.mesh, job.output, replace(job.settings, device=device))
         check = _looked_at(job, fitted.model)
-        facts = asdict(replace(fitted, model=None))
-        status = replace(status, state="finished", check=check, fitted=facts)
-    except KeyboardInterrupt:
-        status = replace(status, state="stopped")
-    except Exception as error:  # whatever happens to one garment, the others go on
-        reason = " ".join(str(error).split()) or type(error).__name__
-        print(f"error: {reason}", file=sys.stderr)
-        status = replace(status, state="failed", reason=reason)
+    except Exception as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise
+    status = replace(status, state="finished", check=check, fitted=asdict(replace(fitted, model=None)))
     write_status(job, status)
     return status
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import time
-from collections import Counter
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from physkin_core.cluster.cluster import Cluster, Outcome, add_address, joined
-from physkin_core.progress import progress_line
+from physkin_core.cluster.cluster import Outcome, add_address
+from physkin_core.cluster.rows import do_rows
 from physkin_training.catalogue.garment_run import train_garment
 from physkin_training.catalogue.page import write_page
 from physkin_training.catalogue.plan import (
@@ -30,9 +27,6 @@ from physkin_training.fit_garment.settings import FitSettings, add_fit_options
 __all__ = ["command_parser", "main", "train_catalogue"]
 
 PAGE = "catalogue.html"
-PAGE_EVERY = 15
-"""Seconds from one page to the next while nothing ends."""
-LOOK_EVERY = 2.0
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -52,66 +46,38 @@ def train_catalogue(
 ) -> int:
     """Train what is not finished of the jobs, and write the page of all into the folder.
 
-    address, cpus, device: see `joined`. Returns how many garments failed. Raises what `joined` does, and
+    address, cpus, device: see `done_on_cluster`. Returns how many garments failed. Raises what that does, and
     KeyboardInterrupt for Ctrl-C, after all checkpoints; the same jobs then go on.
     """
     output.mkdir(parents=True, exist_ok=True)
-    stages = {job: stage(job) for job in jobs}
-    to_do = [job for job in jobs if stages[job] != "finished"]
-    to_do.sort(key=lambda job: stages[job] == "new")  # what was begun is finished first
-    counts = Counter(finished=0, resumes=0, new=0) + Counter(stages.values())
-    print(f"{counts['finished']} garments are finished, {counts['resumes']} are gone on with, {counts['new']} are new")
-    for job in to_do:
-        status = read_status(job)
-        if status and status.state == "training":  # by a run that is no more
+    show = partial(_show, output / PAGE, jobs)
+    show({}, 0)  # what was begun by a run that is no more was stopped
+    in_order = sorted(jobs, key=lambda job: stage(job) == "new")  # what was begun is finished first
+    where = {"address": address, "cpus": cpus, "device": device, "alone": True}
+    failed = do_rows(in_order, train_garment, _finished, show, called="garments", say=_said, share=_share, **where)
+    print(f"wrote {output / PAGE}")
+    return failed
+
+
+def _finished(job: Job) -> Status | None:
+    return read_status(job) if stage(job) == "finished" else None
+
+
+def _show(page: Path, jobs: Sequence[Job], outcomes: Mapping[str, Outcome], refresh: int) -> None:
+    """Write the page; how a training ended that could not note it itself is noted."""
+    for job in jobs:
+        reason, status = outcomes.get(job.name, Outcome(job)).reason, read_status(job)
+        if reason:
+            write_status(
+                job, replace(status or Status(job.fingerprint, "failed", starts=0), state="failed", reason=reason)
+            )
+        elif not refresh and status and status.state == "training":
             write_status(job, replace(status, state="stopped"))
-    page = output / PAGE
-    write_page(page, jobs)
-    if not to_do:
-        return 0
-    try:
-        with joined(address, cpus=cpus, device=device) as cluster:
-            failed = _train(cluster, jobs, to_do, page)
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on")
-        raise
-    finally:
-        write_page(page, jobs)
-        print(f"wrote {page}")
-    return failed
+    write_page(page, jobs, refresh=refresh)
 
 
-def _train(cluster: Cluster, jobs: Sequence[Job], to_do: Sequence[Job], page: Path) -> int:
-    """Returns how many garments failed."""
-    failed = ended = 0
-    where = "a GPU each" if cluster.gpus else f"{cluster.cpus} processor cores each"
-    print(f"training {len(to_do)} garments, {cluster.at_once} at once, {where}")
-    watch, written = progress_line(f"training {len(to_do)} garments"), 0.0
-    already = {job: _share(job) for job in to_do}
-    train = partial(train_garment, device=cluster.device)
-    with closing(cluster.run(train, [[job] for job in to_do], look_every=LOOK_EVERY, alone=True)) as outcomes:
-        for outcome in outcomes:
-            if outcome:
-                job, status = outcome.row, outcome.result or _lost(outcome)
-                already.pop(job)
-                ended += 1
-                failed += status.state == "failed"
-                said = status.check["verdict"] if status.check else status.reason
-                begun = f", begun {status.starts} times" if status.starts > 1 else ""
-                print(f"{ended} of {len(to_do)}: {job.name} {status.state}{begun}: {said}")
-            if outcome or time.monotonic() > written + PAGE_EVERY:
-                write_page(page, jobs, refresh=PAGE_EVERY)
-                written = time.monotonic()
-            watch((ended + sum(max(0.0, _share(job) - before) for job, before in already.items())) / len(to_do))
-    return failed
-
-
-def _lost(outcome: Outcome) -> Status:
-    """Note that the job's worker was lost."""
-    job, noted = outcome.row, read_status(outcome.row)
-    status = Status(job.fingerprint, "failed", outcome.reason, noted.starts if noted else 0)
-    write_status(job, status)
-    return status
+def _said(status: Status) -> str:
+    return f"{status.check['verdict']}, begun {status.starts} times" if status.starts > 1 else status.check["verdict"]
 
 
 def _share(job: Job) -> float:
