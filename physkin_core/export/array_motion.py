@@ -49,19 +49,17 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
         raise FileExistsError(f"cannot write {path}: it is there, and no Zarr folder; give another name")
     shutil.rmtree(path, ignore_errors=True)
     names, count, rig = [layer.name for layer in outfit.layers], motion.frame_count, outfit.rig
-    said = {"garments": names, "joint_names": rig.joint_names, "motion": motion.name, "rate_hz": motion.rate_hz}
     joints, times, root = motion.positions_for(rig), motion.times, motion.root
+    _describe(path, garments=names, joint_names=rig.joint_names, motion=motion.name, rate_hz=motion.rate_hz)
     whole = {"joint_positions": joints, "time": times, "root": root}
-    _describe(path, "group", attributes=said)
     for layer in outfit.layers:
-        _describe(path / layer.name, "group")
+        _describe(path / layer.name)
         whole |= {f"{layer.name}/faces": layer.faces, f"{layer.name}/vertex_ids": layer.visible}
     for name, values in whole.items():
-        _describe_array(path / name, values.shape, values)
+        _describe(path / name, values, len(values))
         (path / name / ".".join("c" + "0" * values.ndim)).write_bytes(np.ascontiguousarray(values))
     clouds = [np.empty((len(layer.visible), 6), dtype=np.float32) for layer in outfit.layers]
     halves = [half for cloud in clouds for half in (cloud.T[:3], cloud.T[3:])]
-    folders = [path / name / values for name in names for values in ("positions", "normals")]
     if outfit not in MEMORY:
         pages = [(FRAMES * half.size * 4 // PAGESIZE + 1) * PAGESIZE for half in halves]
         MEMORY[outfit] = [[np.frombuffer(mmap(-1, size), dtype=np.float32) for size in pages] for _ in range(2)]
@@ -70,8 +68,9 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
         [memory[: length * half.size].reshape(length, half.shape[1], 3) for memory, half in zip(each, halves)]
         for each in MEMORY[outfit]
     ]
+    folders = [path / name / values for name in names for values in ("positions", "normals")]
     for folder, chunk in zip(folders, chunks[0]):
-        _describe_array(folder, (count, *chunk.shape[1:]), chunk)
+        _describe(folder, chunk, count)
     outfit.reset()
     written: Iterator[None] = iter(())
     with ThreadPoolExecutor(1) as writer:  # the next chunk is draped meanwhile
@@ -85,26 +84,22 @@ def write_array_motion(path: Path, outfit: Outfit, motion: Motion, *, looks: Seq
             for chunk in current:
                 chunk[row + 1 :] = 0
             list(written)  # raises what writing has raised
-            files = [folder / f"c.{number}.0.0" for folder in folders]
+            files = (folder / f"c.{number}.0.0" for folder in folders)
             written = writer.map(_write, files, current, MEMORY[outfit][number % 2])
         list(written)
     return []
 
 
-def _describe(folder: Path, kind: str, **said: Any) -> None:
-    """Make a group or an array as format 3 has it."""
+def _describe(folder: Path, chunk: np.ndarray | None = None, count: int = 0, **attributes: Any) -> None:
+    """Make a group as format 3 has it, or an array of `count` rows in chunks like one."""
     folder.mkdir(parents=True)
-    text = json.dumps({"zarr_format": 3, "node_type": kind, "attributes": {}} | said)
-    (folder / HEADER).write_text(text, encoding="utf-8")
-
-
-def _describe_array(folder: Path, shape: tuple[int, ...], chunk: np.ndarray) -> None:
-    how = {
-        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk.shape}},
-        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
-        "codecs": [{"name": "bytes", "configuration": {"endian": sys.byteorder}}],
-    }
-    _describe(folder, "array", shape=shape, data_type=chunk.dtype.name, fill_value=0, **how)
+    said = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+    if chunk is not None:
+        said |= {"node_type": "array", "shape": (count, *chunk.shape[1:]), "data_type": chunk.dtype.name}
+        said |= {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk.shape}}, "fill_value": 0}
+        said |= {"chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}}}
+        said |= {"codecs": [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]}
+    (folder / HEADER).write_text(json.dumps(said), encoding="utf-8")
 
 
 def _write(file: Path, values: np.ndarray, memory: np.ndarray) -> None:

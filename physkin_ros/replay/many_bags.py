@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from physkin_core.cluster.cluster import Outcome
-from physkin_core.cluster.rows import FolderRow, do_folder_rows
+from physkin_core.cluster.cluster import FolderRow, Outcome, do_folder_rows
 from physkin_core.motion.bag_reader import BagError
 from physkin_ros.replay.report import write_overview
 

@@ -18,9 +18,8 @@ from threadpoolctl import threadpool_limits
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
 from physkin_core.cluster import cluster as ray_cluster
-from physkin_core.cluster.drape_many import KEPT, _drape, command_parser
-from physkin_core.cluster.jobs import read_table, rows_of
-from physkin_core.cluster.rows import UNFINISHED, FolderRow, do_folder_rows
+from physkin_core.cluster.cluster import UNFINISHED, FolderRow, do_folder_rows
+from physkin_core.cluster.drape_many import KEPT, _drape, command_parser, read_table, rows_of
 from physkin_core.extras import install_command
 from physkin_core.motion.loading import save_motion
 

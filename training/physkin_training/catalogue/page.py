@@ -12,8 +12,7 @@ from tabulate import tabulate
 
 from physkin_core import html_page
 from physkin_core.html_page import badge
-from physkin_training.catalogue.garment_run import LOG, PICTURE
-from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
+from physkin_training.catalogue.plan import LOG, PICTURE, Job, Status, read_status, steps_taken
 from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT
 
 __all__ = ["write_page"]

@@ -23,7 +23,8 @@ __all__ = ["CatalogueError", "Job", "Status", "find_jobs", "read_status", "stage
 
 RECIPE_SUFFIX = ".toml"
 ALLOWED = (*SUFFIXES, PATTERN_SUFFIX)
-STATUS = "status.json"
+STATUS, LOG, PICTURE = "status.json", "log.txt", "picture.jpg"
+"""In a garment's folder."""
 
 
 class CatalogueError(ValueError):

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from physkin_core.cluster.cluster import Outcome, add_address
-from physkin_core.cluster.rows import do_rows
-from physkin_training.catalogue.garment_run import train_garment
+from PIL import Image
+
+from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, load_avatar
+from physkin_core.check.garment_check import check_garment
+from physkin_core.cluster.cluster import Outcome, add_address, do_rows
+from physkin_core.pictures.picture import PictureError
 from physkin_training.catalogue.page import write_page
 from physkin_training.catalogue.plan import (
+    LOG,
+    PICTURE,
     CatalogueError,
     Job,
     Status,
@@ -22,7 +29,11 @@ from physkin_training.catalogue.plan import (
     steps_taken,
     write_status,
 )
+from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT, fit_garment, log_progress
+from physkin_training.fit_garment.pictures import in_motion
 from physkin_training.fit_garment.settings import FitSettings, add_fit_options
+from physkin_training.train.checkpoint import checkpoint_step
+from physkin_training.train.run import CHECKPOINT
 
 __all__ = ["command_parser", "main", "train_catalogue"]
 
@@ -53,37 +64,84 @@ def train_catalogue(
     show = partial(_show, output / PAGE, jobs)
     show({}, 0)  # what was begun by a run that is no more was stopped
     in_order = sorted(jobs, key=lambda job: stage(job) == "new")  # what was begun is finished first
-    where = {"address": address, "cpus": cpus, "device": device, "alone": True}
-    failed = do_rows(in_order, train_garment, _finished, show, called="garments", say=_said, share=_share, **where)
+    failed = do_rows(
+        in_order,
+        train_garment,
+        lambda job: read_status(job) if stage(job) == "finished" else None,
+        show,
+        called="garments",
+        say=lambda status: f"{status.check['verdict']}, begun {status.starts} times".removesuffix(", begun 1 times"),
+        share=lambda job: taken[0] / taken[1] if read_status(job) and (taken := steps_taken(job)) else 0.0,
+        address=address,
+        cpus=cpus,
+        device=device,
+        alone=True,
+    )
     print(f"wrote {output / PAGE}")
     return failed
-
-
-def _finished(job: Job) -> Status | None:
-    return read_status(job) if stage(job) == "finished" else None
 
 
 def _show(page: Path, jobs: Sequence[Job], outcomes: Mapping[str, Outcome], refresh: int) -> None:
     """Write the page; how a training ended that could not note it itself is noted."""
     for job in jobs:
-        reason, status = outcomes.get(job.name, Outcome(job)).reason, read_status(job)
-        if reason:
-            write_status(
-                job, replace(status or Status(job.fingerprint, "failed", starts=0), state="failed", reason=reason)
-            )
-        elif not refresh and status and status.state == "training":
+        status = read_status(job) or Status(job.fingerprint, "failed", starts=0)
+        if reason := outcomes.get(job.name, Outcome(job)).reason:
+            write_status(job, replace(status, state="failed", reason=reason))
+        elif not refresh and status.state == "training":
             write_status(job, replace(status, state="stopped"))
     write_page(page, jobs, refresh=refresh)
 
 
-def _said(status: Status) -> str:
-    return f"{status.check['verdict']}, begun {status.starts} times" if status.starts > 1 else status.check["verdict"]
+def train_garment(job: Job) -> Status:
+    """Check, train and report on the job's garment as `physkin fit-garment` does; go on where it was stopped. On a GPU
+    if Ray has given this process one.
+
+    All that this process prints from here on goes into the log in the garment's folder. Raises as `fit_garment` does
+    for a mesh that is refused, and whatever training ends with.
+    """
+    import ray
+
+    device = "cuda" if ray.get_gpu_ids() else "cpu"
+    resumes = stage(job) == "resumes"
+    status = read_status(job) or Status(job.fingerprint, "training", starts=0)
+    resumed_at = [*status.resumed_at, checkpoint_step(job.folder / CHECKPOINT)] if resumes else []
+    status = replace(status, state="training", reason="", starts=status.starts + 1, resumed_at=resumed_at)
+    if not resumes:  # of another mesh or other settings, perhaps
+        for name in (CHECKPOINT, PICTURE, FIRST, PLACEMENT, "losses.jsonl"):
+            (job.folder / name).unlink(missing_ok=True)
+    write_status(job, status)
+    _print_into(job.folder / LOG)
+    log_progress()
+    try:
+        fitted = fit_garment(job.mesh, job.output, replace(job.settings, device=device))
+        check = _looked_at(job, fitted.model)
+    except Exception as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise
+    status = replace(status, state="finished", check=check, fitted=asdict(replace(fitted, model=None)))
+    write_status(job, status)
+    return status
 
 
-def _share(job: Job) -> float:
-    """How much of a garment's training is done."""
-    status, taken = read_status(job), steps_taken(job)
-    return taken[0] / taken[1] if status and taken else 0.0
+def _looked_at(job: Job, model: GarmentModel) -> dict:
+    """Figures of the trained garment on the avatar; its picture in a frame of motion is written."""
+    worn = job.settings
+    avatar = load_avatar(worn.avatar or BUNDLED_AVATAR, model.rig, rig_file=worn.rig, bones=worn.bones)
+    draper = Draper(model, avatar)
+    try:
+        picture = Image.fromarray(in_motion(draper))
+        picture.save(job.folder / PICTURE, quality=85)  # a tenth of a PNG: a page holds a thousand
+    except PictureError as error:
+        print(f"no picture: {error}")
+    return check_garment(draper.layer, draper.avatar).as_plain_data()
+
+
+def _print_into(log: Path) -> None:
+    """Everything that this process prints from here on, from C++ and CUDA, too, is appended to the log."""
+    file = open(log, "a", buffering=1)
+    for stream in (1, 2):
+        os.dup2(file.fileno(), stream)
+    sys.stdout = sys.stderr = file
 
 
 def command_parser() -> argparse.ArgumentParser:
