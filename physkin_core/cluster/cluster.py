@@ -6,6 +6,7 @@ Results of a `FolderRow` are a folder, written elsewhere and then renamed, and n
 from __future__ import annotations
 
 import argparse
+import html
 import json
 import logging
 import os
@@ -20,6 +21,7 @@ from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 
+from physkin_core.html_page import write_page
 from physkin_core.progress import progress_line
 
 __all__ = ["FolderRow", "Outcome", "add_address", "do_folder_rows", "do_rows", "done_on_cluster"]
@@ -39,8 +41,8 @@ UNFINISHED = ".unfinished"
 PAGE_EVERY = 15
 """[s]"""
 
-Show = Callable[[Mapping[str, "Outcome"], int], None]
-"""Shows all outcomes so far, by name, and is called again after some seconds, 0 for never."""
+Body = Callable[[Mapping[str, "Outcome"], int], str]
+"""What a page shows, in HTML, of all outcomes so far, by name. It is asked again after some seconds, 0 for never."""
 Work = Callable[["FolderRow", Path], dict[str, Any]]
 """Does a row in a folder. Returns what is to be noted of it, in JSON's types, the same whenever it is done."""
 
@@ -69,7 +71,8 @@ def do_rows(
     rows: Sequence[Any],
     work: Callable[[Any], Any],
     known: Callable[[Any], Any],
-    show: Show,
+    page: Path,
+    body: Body,
     *,
     called: str = "rows",
     say: Callable[[Any], str] = lambda _: "done",
@@ -77,13 +80,17 @@ def do_rows(
     here: bool = False,
     **where: Any,
 ) -> int:
-    """Do all rows that are not finished, and say how it goes. Returns how many failed.
+    """Do all rows that are not finished, and say on a page and here how it goes. Returns the exit status: 1 if one
+    failed.
 
     rows: have `name` and `shares`. known: what work returned of a finished row, None of others. called: what rows are.
     say: what is said of a result. share: how much of a row that runs is done. here: one row after the other in this
-    process, without Ray; else where is as of `done_on_cluster`. Raises as that, and KeyboardInterrupt for Ctrl-C: the
-    same rows then go on.
+    process, without Ray; else where is as of `done_on_cluster`. Raises as that, ValueError where the page's folder is a
+    file, and KeyboardInterrupt for Ctrl-C: the same rows then go on.
     """
+    if page.parent.exists() and not page.parent.is_dir():
+        raise ValueError(f"--output {page.parent} is a file; a folder is needed")
+    page.parent.mkdir(parents=True, exist_ok=True)
     outcomes = {row.name: Outcome(row, result) for row in rows if (result := known(row)) is not None}
     to_do = {row.name: row for row in rows if row.name not in outcomes}
     print(f"{len(rows)} {called}, {len(outcomes)} of them finished")
@@ -93,6 +100,13 @@ def do_rows(
         done = (outcome for row in to_do.values() for outcome in tried(work, [row]))
     else:
         done = done_on_cluster(work, list(to_do.values()), **where)
+
+    def show(refresh: int) -> None:
+        failed = [f"{name}: {outcome.reason}" for name, outcome in outcomes.items() if outcome.reason]
+        said = f"{len(outcomes) - len(failed)} finished, {len(failed)} failed, {len(rows) - len(outcomes)} to do"
+        lines = [f"<p>{said}.</p>", *(f'<p class="worse">{html.escape(line)}</p>' for line in failed)]
+        write_page(page, f"{len(rows)} {called}", "\n".join([*lines, body(outcomes, refresh)]), refresh=refresh)
+
     try:
         with closing(done):
             for outcome in done if to_do else ():
@@ -103,23 +117,23 @@ def do_rows(
                     print(f"{count - len(left)} of {count}: {name}: {outcome.reason or say(outcome.result)}")
                 watch((count - len(left) + sum(share(to_do[name]) - begun for name, begun in left.items())) / count)
                 if monotonic() > shown + PAGE_EVERY:
-                    show(outcomes, PAGE_EVERY)
+                    show(PAGE_EVERY)
                     shown = monotonic()
     except KeyboardInterrupt:
         print("stopped; the same command goes on")
         raise
     finally:
-        show(outcomes, 0)
-    return sum(bool(outcome.reason) for outcome in outcomes.values())
+        show(0)
+        print(f"wrote {page}")
+    return int(any(outcome.reason for outcome in outcomes.values()))
 
 
-def do_folder_rows(rows: Sequence[FolderRow], work: Work, output: Path, show: Show, **how: Any) -> int:
-    """`do_rows` into folders of their names. how: its other arguments."""
-    (output / UNFINISHED).mkdir(parents=True, exist_ok=True)
+def do_folder_rows(rows: Sequence[FolderRow], work: Work, page: Path, body: Body, **how: Any) -> int:
+    """`do_rows` into folders of their names beside the page. how: its other arguments."""
     try:
-        return do_rows(rows, partial(_do_row, work, output), partial(_notes, output), show, **how)
+        return do_rows(rows, partial(_do_row, work, page.parent), partial(_notes, page.parent), page, body, **how)
     finally:
-        shutil.rmtree(output / UNFINISHED, ignore_errors=True)
+        shutil.rmtree(page.parent / UNFINISHED, ignore_errors=True)
 
 
 def _notes(output: Path, row: FolderRow) -> dict[str, Any] | None:
@@ -135,6 +149,7 @@ def _do_row(work: Work, output: Path, row: FolderRow) -> dict[str, Any]:
     """Do a row in a folder of its own, and rename that when all is in it."""
     if (notes := _notes(output, row)) is not None:  # by a worker that was lost later
         return notes
+    (output / UNFINISHED).mkdir(exist_ok=True)
     with TemporaryDirectory(dir=output / UNFINISHED) as made:
         folder = Path(made) / row.name
         folder.mkdir()

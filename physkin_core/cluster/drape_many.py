@@ -8,10 +8,9 @@ from __future__ import annotations
 import argparse
 import csv
 import hashlib
-import html
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cache, partial
 from importlib.metadata import version
 from itertools import product
@@ -22,7 +21,6 @@ from physkin_core.avatar.loading import GLTF_SUFFIXES, MESH_SUFFIXES
 from physkin_core.cluster.cluster import FolderRow, Outcome, add_address, do_folder_rows
 from physkin_core.export.export import WRITERS, dressed_for
 from physkin_core.file_reading import ContentError, read_text, reading
-from physkin_core.html_page import write_page
 from physkin_core.model.model_file import MODELS_PATH, split_fabric
 from physkin_core.motion.clip_files import CLIP_SUFFIXES, split_clip_name
 from physkin_core.motion.landmark_files import LANDMARK_SUFFIXES
@@ -75,16 +73,16 @@ def command_parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     """Command line. Returns 0; 1 when a row failed. Raises ValueError or OSError for bad input."""
     options = command_parser().parse_args(argv)
-    output, kind = options.output, f".{options.format}"
+    kind = f".{options.format}"
     if options.jobs and options.avatars:
         raise JobsError(f"--avatars {options.avatars} goes with --motions; the table {options.jobs} names its avatars")
-    if output.exists() and not output.is_dir():
-        raise JobsError(f"--output {output} is a file; a folder is needed")
     table = read_table(options.jobs) if options.jobs else crossed(options.avatars, options.motions)
     rows = rows_of(table, options, kind)
-    failed = do_folder_rows(rows, partial(_drape, kind), output, partial(_show, output, rows), address=options.address)
-    print(f"wrote {output / PAGE}")
-    return 1 if failed else 0
+    return do_folder_rows(rows, partial(_drape, kind), options.output / PAGE, _frames, address=options.address)
+
+
+def _frames(outcomes: Mapping[str, Outcome], refresh: int) -> str:
+    return f"<p>{sum(each.result['frames'] for each in outcomes.values() if each.result):,} frames.</p>"
 
 
 def _drape(kind: str, row: FolderRow, folder: Path) -> dict[str, Any]:
@@ -100,16 +98,6 @@ def _drape(kind: str, row: FolderRow, folder: Path) -> dict[str, Any]:
     lacking = WRITERS[kind](folder / f"{row.name}{kind}", outfit, motion, looks=looks)
     of_whom = {"avatar": str(row.order.avatar), "motion": row.order.motion}
     return of_whom | {"frames": motion.frame_count, "rate_hz": motion.rate_hz, "warnings": [*outfit.warnings, *lacking]}
-
-
-def _show(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> None:
-    """Write the page."""
-    failed = [f"{name}: {outcome.reason}" for name, outcome in outcomes.items() if outcome.reason]
-    frames = sum(outcome.result["frames"] for outcome in outcomes.values() if not outcome.reason)
-    waiting = len(rows) - len(outcomes)
-    said = f"{len(outcomes) - len(failed)} finished, {len(failed)} failed, {waiting} waiting; {frames:,} frames."
-    lines = [f"<p>{said}</p>", *(f'<p class="worse">{html.escape(line)}</p>' for line in failed)]
-    write_page(output / PAGE, f"{len(rows)} rows", "\n".join(lines), refresh=refresh)
 
 
 class JobsError(ValueError):

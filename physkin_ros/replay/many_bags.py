@@ -13,7 +13,7 @@ from pathlib import Path
 
 from physkin_core.cluster.cluster import FolderRow, Outcome, do_folder_rows
 from physkin_core.motion.bag_reader import BagError
-from physkin_ros.replay.report import write_overview
+from physkin_ros.replay.report import overview
 
 __all__ = ["bags_in", "holds_bags", "replay_all"]
 
@@ -50,17 +50,12 @@ def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Names
     output: Path | None = options.output
     if output is None:
         raise BagError(f"{options.bag} is a folder of bags: give --output FOLDER for the results")
-    if output.exists() and not output.is_dir():
-        raise BagError(f"--output {output} is a file; for a folder of bags a folder is needed")
     if output.resolve() == options.bag.resolve():
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
     rows = [FolderRow(bag.name, bag, _settings(options, bag)) for bag in bags_in(options.bag)]
-    work, show = partial(_replay_into, options, replay_one), partial(_write_page, output, rows)
-    failed = do_folder_rows(
-        rows, work, output, show, called="bags", address=options.address, here=options.address is None
-    )
-    print(f"wrote {output / OVERVIEW}")
-    return 1 if failed else 0
+    where = {"address": options.address, "here": options.address is None}
+    work, body = partial(_replay_into, options, replay_one), partial(_overview, output, rows)
+    return do_folder_rows(rows, work, output / OVERVIEW, body, called="bags", **where)
 
 
 def _replay_into(options: argparse.Namespace, replay_one: Callable, row: FolderRow, folder: Path) -> dict:
@@ -80,11 +75,7 @@ def _settings(options: argparse.Namespace, bag: Path) -> dict:
     return {"bag": stamps, "options": chosen}
 
 
-def _write_page(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> None:
-    shown = []
-    for row in rows:
-        outcome = outcomes.get(row.name)
-        done, reason = outcome is not None and not outcome.reason, outcome.reason if outcome else ""
-        figures = json.loads((output / row.name / FIGURES).read_text(encoding="utf-8")) if done else None
-        shown.append((row.name, f"{row.name}/{REPORT}", figures, reason))
-    write_overview(output / OVERVIEW, shown, refresh=refresh)
+def _overview(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> str:
+    figures = {name: output / name / FIGURES for name, outcome in outcomes.items() if not outcome.reason}
+    read = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in figures.items()}
+    return overview([(row.name, f"{row.name}/{REPORT}", read.get(row.name)) for row in rows])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
+import json
 import shutil
 import signal
 import threading
@@ -65,7 +65,7 @@ def at_once(jobs, tmp_path_factory):
     options = command_parser().parse_args([str(jobs), "-o", str(output)])
     rows = rows_of(read_table(jobs), options, ".zarr")
     with threadpool_limits(1):  # as workers have it: sums of two threads differ by what is rounded
-        assert do_folder_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
+        assert do_folder_rows(rows, partial(_drape, ".zarr"), output / "page.html", lambda *_: "", here=True) == 1
     return output
 
 
@@ -91,13 +91,13 @@ def test_a_lost_machine_changes_no_byte(machines, jobs, at_once, tmp_path, capsy
     assert main(command) == 1, "one row fails"
     hand.join()
     assert contents(output) == contents(at_once) and not (output / UNFINISHED).exists()
-    table = list(csv.DictReader((output / "rows.csv").read_text().splitlines()))
-    assert [row["frames"] for row in table[:2]] == ["66", "69"] and len(table) == CLIPS + 1
-    assert table[-1]["reason"] == "motion file nosuch.bvh: no such file" and not any(
-        row["reason"] for row in table[:-1]
+    notes = [json.loads((output / f"avatar-walk{k}" / "row.json").read_text())["notes"] for k in range(CLIPS)]
+    assert [row["frames"] for row in notes[:2]] == [66, 69] and notes[1]["motion"] == str(
+        jobs.parent / "walk1.safetensors"
     )
     page = (output / "drape-many.html").read_text()
-    assert f"{CLIPS} finished, 1 failed, 0 waiting" in page and "nosuch.bvh: no such file" in page
+    assert f"{CLIPS} finished, 1 failed, 0 to do" in page
+    assert page.count('class="worse"') == 1 and "motion file nosuch.bvh: no such file" in page
     capsys.readouterr()
     times = {path: path.stat().st_mtime_ns for path in output.glob("*/*")}
     shutil.rmtree(output / "avatar-walk3")
@@ -162,7 +162,7 @@ def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
     for order in (rows, rows[::-1]):
         KEPT.clear()
         output = tmp_path / f"{order[0].name} first"
-        assert do_folder_rows(order, partial(_drape, f".{kind}"), output, lambda *_: None, here=True) == 0
+        assert do_folder_rows(order, partial(_drape, f".{kind}"), output / "page.html", lambda *_: "", here=True) == 0
     first, last = (contents(tmp_path / f"{row.name} first") for row in rows)
     assert first == last and f"avatar-one/avatar-one.{kind}" in first
 

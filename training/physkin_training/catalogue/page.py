@@ -6,16 +6,14 @@ import base64
 import html
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from tabulate import tabulate
 
-from physkin_core import html_page
 from physkin_core.html_page import badge
 from physkin_training.catalogue.plan import LOG, PICTURE, Job, Status, read_status, steps_taken
 from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT
 
-__all__ = ["write_page"]
+__all__ = ["catalogue_table"]
 
 COLUMNS = (
     "",
@@ -42,14 +40,13 @@ WIDTH = 300
 SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
 
 
-def write_page(path: Path, jobs: Sequence[Job], *, refresh: int = 0) -> None:
-    """Write the page from what lies on disk. refresh: seconds after which a browser reads it again; 0 for never."""
+def catalogue_table(jobs: Sequence[Job]) -> str:
+    """HTML, from what lies on disk."""
     statuses = {job: read_status(job) for job in jobs}
     counts = Counter(status.state if status else "waiting" for status in statuses.values())
     said = ", ".join(f"{count} {state}" for state, count in counts.items())
     rows = [_row(job, status) for job, status in statuses.items()]
-    table = tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True)
-    html_page.write_page(path, f"{len(jobs)} garments", f"<p>{said}.</p>\n{table}", refresh=refresh)
+    return f"<p>{said}.</p>\n{tabulate(rows, COLUMNS, tablefmt='unsafehtml', disable_numparse=True)}"
 
 
 def _row(job: Job, status: Status | None) -> list[str]:

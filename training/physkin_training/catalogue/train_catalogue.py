@@ -16,7 +16,7 @@ from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, load_avatar
 from physkin_core.check.garment_check import check_garment
 from physkin_core.cluster.cluster import Outcome, add_address, do_rows
 from physkin_core.pictures.picture import PictureError
-from physkin_training.catalogue.page import write_page
+from physkin_training.catalogue.page import catalogue_table
 from physkin_training.catalogue.plan import (
     LOG,
     PICTURE,
@@ -46,10 +46,8 @@ def main(argv: list[str] | None = None) -> int:
     options = command_parser().parse_args(argv)
     if options.cpus < 1:
         raise CatalogueError(f"--cpus {options.cpus} must be at least 1")
-    if options.output.exists() and not options.output.is_dir():
-        raise CatalogueError(f"--output {options.output} is a file; a folder is needed")
     jobs = find_jobs(options.folder, options.output, FitSettings.of(options))
-    return 1 if train_catalogue(jobs, options.output, options.address, options.cpus, options.device) else 0
+    return train_catalogue(jobs, options.output, options.address, options.cpus, options.device)
 
 
 def train_catalogue(
@@ -57,18 +55,16 @@ def train_catalogue(
 ) -> int:
     """Train what is not finished of the jobs, and write the page of all into the folder.
 
-    address, cpus, device: see `done_on_cluster`. Returns how many garments failed. Raises what that does, and
-    KeyboardInterrupt for Ctrl-C, after all checkpoints; the same jobs then go on.
+    address, cpus, device: see `done_on_cluster`. Returns and raises as `do_rows`; KeyboardInterrupt for Ctrl-C comes
+    after all checkpoints.
     """
-    output.mkdir(parents=True, exist_ok=True)
-    show = partial(_show, output / PAGE, jobs)
-    show({}, 0)  # what was begun by a run that is no more was stopped
-    in_order = sorted(jobs, key=lambda job: stage(job) == "new")  # what was begun is finished first
-    failed = do_rows(
-        in_order,
+    _body(jobs, {}, 0)  # what was begun by a run that is no more was stopped
+    return do_rows(
+        sorted(jobs, key=lambda job: stage(job) == "new"),  # what was begun is finished first
         train_garment,
         lambda job: read_status(job) if stage(job) == "finished" else None,
-        show,
+        output / PAGE,
+        partial(_body, jobs),
         called="garments",
         say=lambda status: f"{status.check['verdict']}, begun {status.starts} times".removesuffix(", begun 1 times"),
         share=lambda job: taken[0] / taken[1] if read_status(job) and (taken := steps_taken(job)) else 0.0,
@@ -77,19 +73,17 @@ def train_catalogue(
         device=device,
         alone=True,
     )
-    print(f"wrote {output / PAGE}")
-    return failed
 
 
-def _show(page: Path, jobs: Sequence[Job], outcomes: Mapping[str, Outcome], refresh: int) -> None:
-    """Write the page; how a training ended that could not note it itself is noted."""
+def _body(jobs: Sequence[Job], outcomes: Mapping[str, Outcome], refresh: int) -> str:
+    """Of the page; how a training ended that could not note it itself is noted."""
     for job in jobs:
         status = read_status(job) or Status(job.fingerprint, "failed", starts=0)
         if reason := outcomes.get(job.name, Outcome(job)).reason:
             write_status(job, replace(status, state="failed", reason=reason))
         elif not refresh and status.state == "training":
             write_status(job, replace(status, state="stopped"))
-    write_page(page, jobs, refresh=refresh)
+    return catalogue_table(jobs)
 
 
 def train_garment(job: Job) -> Status:
