@@ -38,8 +38,7 @@ NOTES = "row.json"
 """In the folder of every row that is finished."""
 UNFINISHED = ".unfinished"
 """In the output folder: folders of rows that are being done."""
-PAGE_EVERY = 15
-"""[s]"""
+PAGE_EVERY = 15  # [s]
 
 Body = Callable[[Mapping[str, "Outcome"], int], str]
 """What a page shows, in HTML, of all outcomes so far, by name. It is asked again after some seconds, 0 for never."""
@@ -96,9 +95,8 @@ def do_rows(
     print(f"{len(rows)} {called}, {len(outcomes)} of them finished")
     watch, shown, count = progress_line(f"{len(to_do)} {called}"), 0.0, len(to_do)
     left = {name: share(row) for name, row in to_do.items()}
-    if here:
-        done = (outcome for row in to_do.values() for outcome in tried(work, [row]))
-    else:
+    done: Iterator[Outcome | None] = (outcome for row in to_do.values() for outcome in tried(work, [row]))
+    if not here:
         done = done_on_cluster(work, list(to_do.values()), **where)
 
     def show(refresh: int) -> None:
@@ -261,6 +259,5 @@ def _check_address(address: str | None) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=ANSWER).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise ConnectionError(
-            f"--address {address}: no Ray cluster answers there ({error}); allowed: HOST:PORT"
-        ) from error
+        said = f"--address {address}: no Ray cluster answers there ({error}); allowed: HOST:PORT"
+        raise ConnectionError(said) from error

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -20,7 +19,7 @@ from typing import Any
 from physkin_core.avatar.loading import GLTF_SUFFIXES, MESH_SUFFIXES
 from physkin_core.cluster.cluster import FolderRow, Outcome, add_address, do_folder_rows
 from physkin_core.export.export import WRITERS, dressed_for
-from physkin_core.file_reading import ContentError, read_text, reading
+from physkin_core.file_reading import ContentError, digest_of, read_text, reading
 from physkin_core.model.model_file import MODELS_PATH, split_fabric
 from physkin_core.motion.clip_files import CLIP_SUFFIXES, split_clip_name
 from physkin_core.motion.landmark_files import LANDMARK_SUFFIXES
@@ -61,9 +60,7 @@ def command_parser() -> argparse.ArgumentParser:
     add_outfit_options(parser)
     add_options(parser, "source-rate", "rate", "separate-limbs", "sway", "wind")
     parser.set_defaults(materials=[])
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="a folder for each row in it"
-    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="for the results")
     kinds = [kind[1:] for kind in WRITERS]
     parser.add_argument("--format", choices=kinds, default="zarr", help="of results (default %(default)s: arrays)")
     add_address(parser, "the one on this machine, which is started if need be")
@@ -168,9 +165,9 @@ def _row(cells: Mapping[str, Any], defaults: argparse.Namespace, kind: str) -> F
     if not re.fullmatch(r"[^./\\\0][^/\\\0]*", name := options.name or stem):
         raise ValueError(f"name {name!r} is no folder's; allowed: no slash, and no dot at first")
     files = [options.avatar, options.motion, *(options.garment or ()), options.rig, options.bones]
-    digest = hashlib.sha256("".join(map(_digest, map(str, filter(None, files)))).encode()).hexdigest()
     chosen = {option: str(getattr(options, option.replace("-", "_"))) for option in OPTIONS}
-    settings = chosen | {"kind": kind, "physkin": version("physkin"), "sha256": digest}
+    digests = [_digest(str(file)) for file in files if file]
+    settings = chosen | {"kind": kind, "physkin": version("physkin"), "sha256": digests}
     return FolderRow(name, options, settings, shares=tuple(str(getattr(options, field)) for field in WORN))
 
 
@@ -180,5 +177,4 @@ def _digest(name: str) -> str:
     path, _ = split_clip_name(split_fabric(name)[0])
     shipped = [folder / f"{path}.safetensors" for folder in (MODELS_PATH, MOTIONS_DIRECTORY)]
     beside = [path.with_suffix(ending) for ending in BESIDE]
-    files = [file for file in (path, *sorted(path.rglob("*")), *beside, *shipped) if file.is_file()]
-    return "".join(hashlib.file_digest(file.open("rb"), "sha256").hexdigest() for file in files)
+    return digest_of([path, *sorted(path.rglob("*")), *beside, *shipped])

@@ -95,8 +95,9 @@ def _describe(folder: Path, chunk: np.ndarray | None = None, count: int = 0, **a
     folder.mkdir(parents=True)
     said = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
     if chunk is not None:
+        sizes = [max(1, size) for size in chunk.shape]
         said |= {"node_type": "array", "shape": (count, *chunk.shape[1:]), "data_type": chunk.dtype.name}
-        said |= {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk.shape}}, "fill_value": 0}
+        said |= {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": sizes}}, "fill_value": 0}
         said |= {"chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}}}
         said |= {"codecs": [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]}
     (folder / HEADER).write_text(json.dumps(said), encoding="utf-8")

@@ -99,11 +99,8 @@ class GarmentGrading:
         """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c). Many bodies
         take all cores."""
         parts = np.array_split(np.asarray(coefficients), range(TOGETHER, len(coefficients), TOGETHER))
-        if len(parts) == 1:
-            moved = [self._measured(coefficients)]
-        else:
-            with ThreadPoolExecutor(min(len(parts), os.cpu_count() or 1)) as threads:
-                moved = list(threads.map(self._measured, parts))
+        with ThreadPoolExecutor(min(len(parts), os.cpu_count() or 1)) as threads:
+            moved = list(threads.map(self._measured, parts))
         return self.garment.vertices + np.concatenate(moved)
 
     def _measured(self, coefficients: np.ndarray) -> np.ndarray:

@@ -92,13 +92,12 @@ def overview(bags: Sequence[tuple[str, str, Mapping | None]]) -> str:
     None while there are none."""
     rows = []
     for name, address, figures in bags:
-        if figures is None:
-            rows.append([html.escape(name)])
-            continue
-        counts = figures["counts"]
-        means = [figures["figures"][figure]["mean"] for figure in LABELS]
-        link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
-        rows.append([link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means])
+        cells = [html.escape(name)]
+        if figures:
+            counts, means = figures["counts"], [figures["figures"][figure]["mean"] for figure in LABELS]
+            link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
+            cells = [link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means]
+        rows.append(cells)
     header, formats = ["bag", "draped", "rejected", "s", *LABELS.values()], ["", "", "", ".2f", *[".3f"] * len(LABELS)]
     return f"<p>Means over clouds.</p>\n{tabulate(rows, header, 'unsafehtml', floatfmt=formats, missingval='')}"
 

@@ -59,6 +59,7 @@ def train_catalogue(
     after all checkpoints.
     """
     _body(jobs, {}, 0)  # what was begun by a run that is no more was stopped
+    where = {"address": address, "cpus": cpus, "device": device, "alone": True}
     return do_rows(
         sorted(jobs, key=lambda job: stage(job) == "new"),  # what was begun is finished first
         train_garment,
@@ -68,10 +69,7 @@ def train_catalogue(
         called="garments",
         say=lambda status: f"{status.check['verdict']}, begun {status.starts} times".removesuffix(", begun 1 times"),
         share=lambda job: taken[0] / taken[1] if read_status(job) and (taken := steps_taken(job)) else 0.0,
-        address=address,
-        cpus=cpus,
-        device=device,
-        alone=True,
+        **where,
     )
 
 
