@@ -146,16 +146,18 @@ def test_arrays_are_what_an_outfit_drapes(at_once):
         np.testing.assert_array_equal(shirt["normals"][frame], cloud[:, 3:])
 
 
-@pytest.mark.parametrize("kind", ["glb", "usdc"])
+@pytest.mark.parametrize("kind", ["zarr", "glb", "usdc"])
 def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
-    """A worker keeps the outfit from row to row."""
+    """A worker keeps the outfit from row to row; layers find each other anew in each."""
     if kind == "usdc":
         pytest.importorskip("pxr", reason="needs the [usd] extra")
     for name in ("one", "two"):
         save_motion(load_motion("kick").looped(0.2), tmp_path / f"{name}.safetensors")
     table = tmp_path / "jobs.jsonl"
     table.write_text(
-        "\n".join(f'{{"motion": "{tmp_path / name}.safetensors", "garment": "tanktop"}}' for name in ("one", "two"))
+        "\n".join(
+            f'{{"motion": "{tmp_path / name}.safetensors", "garment": "shorts tshirt"}}' for name in ("one", "two")
+        )
     )
     options = command_parser().parse_args([str(table), "-o", str(tmp_path)])
     rows = rows_of(read_table(table), options, f".{kind}")
@@ -164,7 +166,7 @@ def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
         output = tmp_path / f"{order[0].name} first"
         assert do_folder_rows(order, partial(_drape, f".{kind}"), output / "page.html", lambda *_: "", here=True) == 0
     first, last = (contents(tmp_path / f"{row.name} first") for row in rows)
-    assert first == last and f"avatar-one/avatar-one.{kind}" in first
+    assert first == last and any(f"avatar-one.{kind}" in name for name in first)
 
 
 @pytest.mark.parametrize(
