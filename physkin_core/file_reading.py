@@ -7,13 +7,14 @@ it is and makes all else that goes wrong the same kind of sentence.
 from __future__ import annotations
 
 import codecs
+import hashlib
 import json
 import math
 import os
 import re
 import reprlib
 import stat
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -22,6 +23,7 @@ __all__ = [
     "LARGEST_FILE",
     "LONGEST_SENTENCE",
     "ContentError",
+    "digest_of",
     "file_beside",
     "listed",
     "numbers_of",
@@ -68,6 +70,15 @@ def read_bytes(path: Path, *, most: int = LARGEST_FILE) -> bytes:
 def read_text(path: Path, *, most: int = LARGEST_FILE) -> str:
     """The text of a file. Raises as `read_bytes` and `text_of` do."""
     return text_of(read_bytes(path, most=most))
+
+
+def digest_of(files: Iterable[Path], *settings: object) -> str:
+    """SHA-256 of the kinds and contents of those files that are there, and of settings (by `repr`)."""
+    known: list[object] = [*settings]
+    for file in filter(Path.is_file, files):
+        with open(file, "rb") as content:
+            known.append((file.suffix.lower(), hashlib.file_digest(content, "sha256").hexdigest()))
+    return hashlib.sha256(repr(known).encode()).hexdigest()
 
 
 def text_of(content: bytes) -> str:

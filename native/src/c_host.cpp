@@ -266,6 +266,7 @@ physkin_status physkin_set_wind(physkin_garment* garment, const double* velocity
 physkin_status physkin_reset(physkin_garment* garment) {
   if (garment == nullptr) return fail(PHYSKIN_BAD_ARGUMENT, "%s", "garment is null");
   garment->input.reset();
+  garment->evaluator.forget();
   return PHYSKIN_OK;
 }
 

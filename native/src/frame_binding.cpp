@@ -265,6 +265,7 @@ void bind_frame(nb::module_& module) {
   nb::class_<BoundEvaluator>(module, "Evaluator")
       .def(nb::init<const nb::list&, const nb::list&, const Text&, const Text&>(), "garments"_a,
            "orders"_a = nb::list(), "instruction_set"_a = nb::none(), "precision"_a = nb::none())
+      .def("forget", [](BoundEvaluator& self) { self.evaluator().forget(); })
       .def("node_transforms", node_transforms, "garment"_a = 0)
       .def("corrections", corrections, "garment"_a = 0)
       .def("detail_offsets", detail_offsets, "garment"_a = 0)

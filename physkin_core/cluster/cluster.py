@@ -1,24 +1,49 @@
-"""Work on a Ray cluster: rows in batches, each batch on processor cores or a GPU. Ray replaces lost workers."""
+"""Rows of work, here or on a Ray cluster, resumed after a stop. Each ends with a result or a reason.
+
+Results of a `FolderRow` are a folder, written elsewhere and then renamed, and never written again.
+"""
 
 from __future__ import annotations
 
 import argparse
+import html
+import json
 import logging
 import os
+import shutil
 import socket
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import monotonic
 from typing import Any
 
-__all__ = ["Cluster", "Outcome", "add_address", "joined", "tried"]
+from physkin_core.html_page import write_page
+from physkin_core.progress import progress_line
+
+__all__ = ["FolderRow", "Outcome", "add_address", "do_folder_rows", "do_rows", "done_on_cluster"]
 
 LETTING_GO = 60.0
 """Time [s] that work gets to write what it keeps when all is stopped."""
-ANSWER = 5.0
-"""Time [s] that a cluster gets to answer."""
+ANSWER, LOOK_EVERY = 5.0, 2.0
+"""Times [s] that a cluster gets to answer, and between looks at what has ended."""
 RETRIES = 3
 """New attempts for a batch whose worker was lost."""
+LONGEST_BATCH = 64
+"""Rows that share a binding: a second of it is little beside them."""
+NOTES = "row.json"
+"""In the folder of every row that is finished."""
+UNFINISHED = ".unfinished"
+"""In the output folder: folders of rows that are being done."""
+PAGE_EVERY = 15  # [s]
+
+Body = Callable[[Mapping[str, "Outcome"], int], str]
+"""What a page shows, in HTML, of all outcomes so far, by name. It is asked again after some seconds, 0 for never."""
+Work = Callable[["FolderRow", Path], dict[str, Any]]
+"""Does a row in a folder. Returns what is to be noted of it, in JSON's types, the same whenever it is done."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +55,182 @@ class Outcome:
     reason: str = ""
 
 
+@dataclass(frozen=True)
+class FolderRow:
+    """name: of its folder. order: what the work takes. settings: all that the result depends on, in JSON's types; a row
+    with other ones is done anew. shares: rows with the same value are done one after the other by one worker."""
+
+    name: str
+    order: Any
+    settings: dict[str, Any]
+    shares: Hashable = None
+
+
+def do_rows(
+    rows: Sequence[Any],
+    work: Callable[[Any], Any],
+    known: Callable[[Any], Any],
+    page: Path,
+    body: Body,
+    *,
+    called: str = "rows",
+    say: Callable[[Any], str] = lambda _: "done",
+    share: Callable[[Any], float] = lambda _: 0.0,
+    here: bool = False,
+    **where: Any,
+) -> int:
+    """Do all rows that are not finished, and say on a page and here how it goes. Returns the exit status: 1 if one
+    failed.
+
+    rows: have `name` and `shares`. known: what work returned of a finished row, None of others. called: what rows are.
+    say: what is said of a result. share: how much of a row that runs is done. here: one row after the other in this
+    process, without Ray; else where is as of `done_on_cluster`. Raises as that, ValueError where the page's folder is a
+    file, and KeyboardInterrupt for Ctrl-C: the same rows then go on.
+    """
+    if page.parent.exists() and not page.parent.is_dir():
+        raise ValueError(f"--output {page.parent} is a file; a folder is needed")
+    page.parent.mkdir(parents=True, exist_ok=True)
+    outcomes = {row.name: Outcome(row, result) for row in rows if (result := known(row)) is not None}
+    to_do = {row.name: row for row in rows if row.name not in outcomes}
+    print(f"{len(rows)} {called}, {len(outcomes)} of them finished")
+    watch, shown, count = progress_line(f"{len(to_do)} {called}"), 0.0, len(to_do)
+    left = {name: share(row) for name, row in to_do.items()}
+    done: Iterator[Outcome | None] = (outcome for row in to_do.values() for outcome in tried(work, [row]))
+    if not here:
+        done = done_on_cluster(work, list(to_do.values()), **where)
+
+    def show(refresh: int) -> None:
+        failed = [f"{name}: {outcome.reason}" for name, outcome in outcomes.items() if outcome.reason]
+        said = f"{len(outcomes) - len(failed)} finished, {len(failed)} failed, {len(rows) - len(outcomes)} to do"
+        lines = [f"<p>{said}.</p>", *(f'<p class="worse">{html.escape(line)}</p>' for line in failed)]
+        write_page(page, f"{len(rows)} {called}", "\n".join([*lines, body(outcomes, refresh)]), refresh=refresh)
+
+    try:
+        with closing(done):
+            for outcome in done if to_do else ():
+                if outcome:
+                    name = outcome.row.name
+                    outcomes[name] = outcome
+                    del left[name]
+                    print(f"{count - len(left)} of {count}: {name}: {outcome.reason or say(outcome.result)}")
+                watch((count - len(left) + sum(share(to_do[name]) - begun for name, begun in left.items())) / count)
+                if monotonic() > shown + PAGE_EVERY:
+                    show(PAGE_EVERY)
+                    shown = monotonic()
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on")
+        raise
+    finally:
+        show(0)
+        print(f"wrote {page}")
+    return int(any(outcome.reason for outcome in outcomes.values()))
+
+
+def do_folder_rows(rows: Sequence[FolderRow], work: Work, page: Path, body: Body, **how: Any) -> int:
+    """`do_rows` into folders of their names beside the page. how: its other arguments."""
+    try:
+        return do_rows(rows, partial(_do_row, work, page.parent), partial(_notes, page.parent), page, body, **how)
+    finally:
+        shutil.rmtree(page.parent / UNFINISHED, ignore_errors=True)
+
+
+def _notes(output: Path, row: FolderRow) -> dict[str, Any] | None:
+    """What was noted of a finished row; None if it is not finished, or was with other settings."""
+    try:
+        found = json.loads((output / row.name / NOTES).read_text(encoding="utf-8"))
+        return found["notes"] if found["settings"] == row.settings else None
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def _do_row(work: Work, output: Path, row: FolderRow) -> dict[str, Any]:
+    """Do a row in a folder of its own, and rename that when all is in it."""
+    if (notes := _notes(output, row)) is not None:  # by a worker that was lost later
+        return notes
+    (output / UNFINISHED).mkdir(exist_ok=True)
+    with TemporaryDirectory(dir=output / UNFINISHED) as made:
+        folder = Path(made) / row.name
+        folder.mkdir()
+        notes = work(row, folder)
+        text = json.dumps({"settings": row.settings, "notes": notes}, indent=1)
+        (folder / NOTES).write_text(text, encoding="utf-8")
+        shutil.rmtree(output / row.name, ignore_errors=True)
+        folder.rename(output / row.name)
+    return notes
+
+
+def done_on_cluster(
+    work: Callable[[Any], Any],
+    rows: Sequence[Any],
+    *,
+    address: str | None,
+    cpus: int = 1,
+    device: str | None = "cpu",
+    alone: bool = False,
+) -> Iterator[Outcome | None]:
+    """Every row with how it ended, as batches end; None every `LOOK_EVERY` seconds in which none has. The cluster is
+    that at an address; without one, what `RAY_ADDRESS` names or runs on this machine, else one that is started here and
+    ended with the rows.
+
+    work: is called again for rows of a batch whose worker was lost. After `RETRIES` the rows of such a batch are tried
+    by themselves, so that a row that ends its process takes no other one with it. rows: those of equal `shares` are
+    done one after the other. cpus: cores a batch. device: "cpu" to leave GPUs alone, None for one GPU a batch where
+    there are any. alone: each row has a process of its own, so that no other one sees what it leaves behind, in memory
+    or of a crash. When the caller stops listening, running work is interrupted (KeyboardInterrupt), and no more begins.
+    Raises ModuleNotFoundError without Ray, ConnectionError where no cluster answers, ValueError where no machine has so
+    many cores or a GPU.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anybody
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    os.environ.setdefault("RAY_DEDUP_LOGS_SKIP_REGEX", ".")  # Ray tells of a lost worker in forty lines
+    import ray
+
+    _check_address(address)
+    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    running: dict[Any, Sequence[Any]] = {}
+    try:
+        machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        with_gpu = [machine for machine in machines if machine.get("GPU", 0) >= 1]
+        if device == "cuda" and not with_gpu:
+            raise ValueError("--device cuda: no machine of the cluster has a GPU; allowed: cpu")
+        gpus = int(device != "cpu" and bool(with_gpu))
+        machines = with_gpu if gpus else machines
+        most = max(int(machine.get("CPU", 0)) for machine in machines)
+        if cpus > most:
+            raise ValueError(f"--cpus {cpus}: no machine of the cluster has more than {most} for each row")
+        at_once = sum(int(machine["GPU"] if gpus else machine.get("CPU", 0) // cpus) for machine in machines)
+        most, groups = min(LONGEST_BATCH, -(-len(rows) // at_once)), {}
+        for row in rows:
+            groups.setdefault(row.name if alone else row.shares, []).append(row)
+        waiting = [group[k : k + most] for group in groups.values() for k in range(0, len(group), most)][::-1]
+        options = {"num_cpus": cpus, "num_gpus": gpus, "max_retries": RETRIES, "max_calls": int(alone)}
+        remote = ray.remote(**options)(tried)
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                batch = waiting.pop()
+                running[remote.remote(work, batch, os.getcwd())] = batch  # paths mean the same to workers
+            done, _ = ray.wait(list(running), timeout=LOOK_EVERY)
+            if not done:
+                yield None
+            for task in done:
+                batch = running.pop(task)
+                try:
+                    yield from ray.get(task)
+                except ray.exceptions.RayError as error:
+                    if len(batch) > 1:
+                        waiting += [[row] for row in batch]
+                        continue
+                    lost = isinstance(error, ray.exceptions.WorkerCrashedError | ray.exceptions.NodeDiedError)
+                    reason = f"its worker was lost {RETRIES + 1} times" if lost else " ".join(str(error).split())
+                    yield Outcome(batch[0], reason=reason)
+    finally:
+        for task in running:
+            ray.cancel(task)
+        if running:
+            ray.wait(list(running), num_returns=len(running), timeout=LETTING_GO)
+        ray.shutdown()
+
+
 def tried(work: Callable[[Any], Any], rows: Sequence[Any], folder: str = ".") -> list[Outcome]:
     """Do rows one after the other, paths being from a folder on. One that raises an exception has its reason, and the
     others go on."""
@@ -39,99 +240,10 @@ def tried(work: Callable[[Any], Any], rows: Sequence[Any], folder: str = ".") ->
         try:
             outcomes.append(Outcome(row, work(row)))
         except Exception as error:
-            said = " ".join(str(error).split())
-            known = isinstance(error, ValueError | OSError | ImportError) and said
-            outcomes.append(Outcome(row, reason=said if known else f"{type(error).__name__}: {said}"))
+            said, kind = " ".join(str(error).split()), type(error)
+            known = said and (issubclass(kind, ValueError | OSError | ImportError) or kind.__module__[:7] == "physkin")
+            outcomes.append(Outcome(row, reason=said if known else f"{kind.__name__}: {said}"))
     return outcomes
-
-
-@dataclass(frozen=True)
-class Cluster:
-    """cpus, gpus: what a batch gets. at_once: most batches at a time."""
-
-    cpus: int
-    gpus: int
-    at_once: int
-
-    @property
-    def device(self) -> str:
-        """Where work that may use a GPU is done."""
-        return "cuda" if self.gpus else "cpu"
-
-    def run(
-        self, work: Callable[[Any], Any], batches: Sequence[Sequence[Any]], *, look_every: float, alone: bool = False
-    ) -> Iterator[Outcome | None]:
-        """Every row with how it ended, as batches end; None every `look_every` seconds in which none has.
-
-        work: is called again for rows of a batch whose worker was lost. After `RETRIES` the rows of such a batch are
-        tried by themselves, so that a row that ends its process takes no other one with it. alone: each batch has a
-        process of its own, so that no other one sees what it leaves behind, in memory or of a crash.
-        When the caller stops listening, running work is interrupted (KeyboardInterrupt), and no more begins.
-        """
-        import ray
-
-        options = {"num_cpus": self.cpus, "num_gpus": self.gpus, "max_retries": RETRIES, "max_calls": int(alone)}
-        remote = ray.remote(**options)(tried)
-        here = os.getcwd()  # paths mean the same to workers
-        waiting, running = [list(batch) for batch in reversed(batches)], {}
-        try:
-            while waiting or running:
-                while waiting and len(running) < self.at_once:
-                    batch = waiting.pop()
-                    running[remote.remote(work, batch, here)] = batch
-                done, _ = ray.wait(list(running), timeout=look_every)
-                if not done:
-                    yield None
-                for task in done:
-                    batch = running.pop(task)
-                    try:
-                        yield from ray.get(task)
-                    except ray.exceptions.RayError as error:
-                        if len(batch) > 1:
-                            waiting += [[row] for row in batch]
-                            continue
-                        lost = isinstance(error, ray.exceptions.WorkerCrashedError | ray.exceptions.NodeDiedError)
-                        reason = f"its worker was lost {RETRIES + 1} times" if lost else " ".join(str(error).split())
-                        yield Outcome(batch[0], reason=reason)
-        finally:
-            for task in running:
-                ray.cancel(task)
-            if running:
-                ray.wait(list(running), num_returns=len(running), timeout=LETTING_GO)
-
-
-@contextmanager
-def joined(address: str | None, *, cpus: int = 1, device: str | None = "cpu") -> Iterator[Cluster]:
-    """The Ray cluster at an address; without one, what `RAY_ADDRESS` names or runs on this machine, else one is started
-    here and ended with the block.
-
-    cpus: cores a batch. device: "cpu" to leave GPUs alone, None for one GPU a batch where there are any. Raises
-    ModuleNotFoundError without Ray, ConnectionError where no cluster answers, ValueError where no machine has so many
-    cores or a GPU.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anybody
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    os.environ.setdefault("RAY_DEDUP_LOGS_SKIP_REGEX", ".")  # Ray tells of a lost worker in forty lines
-    import ray
-
-    _check_address(address)
-    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    try:
-        machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        gpus = 1 if device != "cpu" and any(machine.get("GPU", 0) >= 1 for machine in machines) else 0
-        if device == "cuda" and not gpus:
-            raise ValueError("--device cuda: no machine of the cluster has a GPU; allowed: cpu")
-        room = [int(machine.get("CPU", 0)) for machine in machines if machine.get("GPU", 0) >= gpus]
-        if cpus > max(room):
-            raise ValueError(f"--cpus {cpus}: no machine of the cluster has more than {max(room)} for a training")
-        fits = sum(
-            int(min(machine.get("CPU", 0) // cpus, machine["GPU"] if gpus else machine.get("CPU", 0)))
-            for machine in machines
-            if machine.get("GPU", 0) >= gpus
-        )
-        yield Cluster(cpus, gpus, fits)
-    finally:
-        ray.shutdown()
 
 
 def add_address(parser: argparse.ArgumentParser, default: str) -> None:
@@ -147,6 +259,5 @@ def _check_address(address: str | None) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=ANSWER).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise ConnectionError(
-            f"--address {address}: no Ray cluster answers there ({error}); allowed: HOST:PORT"
-        ) from error
+        said = f"--address {address}: no Ray cluster answers there ({error}); allowed: HOST:PORT"
+        raise ConnectionError(said) from error

@@ -41,12 +41,7 @@ from physkin_core.quality import closest_points
 
 __all__ = ["WRITERS", "command_parser", "dressed_for", "garment_looks", "main"]
 
-WRITERS = {
-    ".glb": write_gltf_motion,
-    ".usd": write_usd_motion,
-    ".usdc": write_usd_motion,
-    ".zarr": write_array_motion,
-}
+WRITERS = {".glb": write_gltf_motion, ".usd": write_usd_motion, ".usdc": write_usd_motion, ".zarr": write_array_motion}
 LIES_ON = 0.002
 """[m] on average: so close to a garment lies a mesh of it. A finer or repaired one does, another size does not."""
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.loading import load_avatar
+from physkin_core.file_reading import digest_of
 from physkin_core.loader.kept import Kept
 from physkin_core.loader.memory import return_memory
 from physkin_core.loader.requests import (
@@ -73,7 +74,7 @@ class Loading:
         body = Path(request.body)
         with _unchanged(_files_of(body, **_skeleton_files(request))) as body_digest:
             with_fabric = [(digest, garment.tucked, garment.fit) for (_, digest), garment in zip(models, worn)]
-            key = _digest(repr((body_digest, with_fabric, request.hide_covered, request.own_clothes)).encode())
+            key = digest_of((), body_digest, with_fabric, request.hide_covered, request.own_clothes)
             bound = self._kept.get(key)
             if cached := bound is not None:
                 bound = replace(bound, avatar=replace(bound.avatar, source=str(body)))  # maybe it has another name
@@ -99,7 +100,7 @@ class Loading:
     def _model(self, name: str) -> tuple[GarmentModel, str]:
         """A garment model, and what it is known by: its content and its fabric."""
         content = model_content(name)
-        key = f"{_digest(content)}:{split_fabric(name)[1]}"
+        key = f"{hashlib.sha256(content).hexdigest()}:{split_fabric(name)[1]}"
         model = self._kept.get(key)
         if model is None:
             model = load_garment_model(name, content=content)
@@ -158,20 +159,7 @@ def _files_of(body: Path, rig_file: str | None, bones: str | None) -> list[Path]
 def _unchanged(files: Sequence[Path]) -> Iterator[str]:
     """Gives a digest of files, of those that are there, by content and kind. Raises ValueError at the end where it is
     another one by then: what was read may not be what it is of."""
-    before = _digest_of(files)
+    before = digest_of(files)
     yield before
-    if _digest_of(files) != before:
+    if digest_of(files) != before:
         raise ValueError(f"{files[0]} changed while it was read; load it again")
-
-
-def _digest_of(files: Sequence[Path]) -> str:
-    return _digest(repr([(file.suffix.lower(), _file_digest(file)) for file in files if file.is_file()]).encode())
-
-
-def _file_digest(file: Path) -> str:
-    with open(file, "rb") as content:
-        return hashlib.file_digest(content, "sha256").hexdigest()
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

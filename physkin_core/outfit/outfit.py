@@ -309,6 +309,7 @@ class Outfit:
     def reset(self) -> None:
         """Start again in the next frame from cloth that hangs still, as in the first frame."""
         self.frame_input.reset()
+        self._evaluator.forget()
 
     def node_transforms(self) -> tuple[np.ndarray, ...]:
         """Garment node transforms (m, 3, 4) of each garment in the last frame, from the canonical frame of the garment

@@ -25,7 +25,7 @@ from physkin_core.separation.limb_separator import separated_motion
 log = logging.getLogger(__name__)
 
 __all__ = [
-    "ROW_OPTIONS",
+    "OPTIONS",
     "add_avatar_options",
     "add_options",
     "add_outfit_options",
@@ -100,10 +100,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
 }
 """Of several commands, as `argparse` has them. None of them is checked before `Outfit` takes it."""
-
-
-ROW_OPTIONS = tuple(OPTIONS)
-"""Those that may differ between rows of a table."""
 
 
 def as_option(name: str, value: Any) -> Any:

@@ -125,6 +125,10 @@ class Evaluator:
         """Computes one frame: `bind_frame`, then its `step`."""
         self.bind_frame(joint_positions, inputs, outs).step()
 
+    def forget(self) -> None:
+        """The next frame goes on from none: layers look for each other anew."""
+        self._evaluator.forget()
+
     def node_transforms(self, garment: int = 0) -> np.ndarray:
         """Garment node transforms of the last frame, (m, 3, 4) [linear | translation in m], root frame, float32; before
         layers are put in order. Zeros before the first frame."""

@@ -11,6 +11,7 @@ Dimensions: `n` garment vertices, `V` body vertices, `c` shape coefficients. Met
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -56,18 +57,18 @@ class GarmentGrading:
     def carried(self, displacement: np.ndarray) -> np.ndarray:
         """Displacement of the garment (n, 3) [m] that follows one of the garment maker's body (V, 3) [m] closely, for
         skin that is elsewhere than that of the body model. Linear."""
-        return self._close.smooth(self._ties @ displacement)
+        return self._close(self._ties @ displacement)
 
     def measured(self, surface: np.ndarray) -> np.ndarray:
         """Displacement of the garment (n, 3) or (k, n, 3) [m] that grades it to one or k bodies with vertices (V, 3) or
         (k, V, 3) [m]."""
         surfaces = surface.reshape(-1, *self.template.shape)
         scale = self._scales(surfaces)[:, None, None]
-        moved = (scale - 1) * self.garment.vertices + self._wide.smooth(self._tied(surfaces - scale * self.template))
+        moved = (scale - 1) * self.garment.vertices + self._wide(self._tied(surfaces - scale * self.template))
         places, outwards = self._tied(surfaces), self._outwards(surfaces)
         for _ in range(LETTING_OUT):
             lacking = self._needed - _along(self.garment.vertices + moved - places, outwards)
-            moved = moved + self._close.smooth(GENEROUS * np.maximum(lacking, 0.0)[..., None] * outwards)
+            moved = moved + self._close(GENEROUS * np.maximum(lacking, 0.0)[..., None] * outwards)
         return moved.reshape(*surface.shape[:-2], -1, 3)
 
     def _scales(self, surfaces: np.ndarray) -> np.ndarray:
@@ -98,51 +99,37 @@ class GarmentGrading:
         """Rest positions made to measure (s, n, 3) [m] for bodies of the body model. coefficients: (s, c). Many bodies
         take all cores."""
         parts = np.array_split(np.asarray(coefficients), range(TOGETHER, len(coefficients), TOGETHER))
-        if len(parts) == 1:
-            moved = [self._measured(coefficients)]
-        else:
-            with ThreadPoolExecutor(min(len(parts), os.cpu_count() or 1)) as threads:
-                moved = list(threads.map(self._measured, parts))
+        with ThreadPoolExecutor(min(len(parts), os.cpu_count() or 1)) as threads:
+            moved = list(threads.map(self._measured, parts))
         return self.garment.vertices + np.concatenate(moved)
 
     def _measured(self, coefficients: np.ndarray) -> np.ndarray:
         return self.measured(np.stack([self.body.vertices(row).astype(np.float64) for row in coefficients]))
 
 
-class _Smoothing:
-    """Smooths fields over a garment. trust: (n,) in what they say. penalty: sparse (n, n), of what bends. order: (n,)
-    in which vertices are solved for."""
-
-    def __init__(self, trust: np.ndarray, penalty, order: np.ndarray) -> None:
-        from scipy.sparse import diags_array
-        from scipy.sparse.linalg import splu
-
-        self._trust, self._order = trust, order
-        system = (diags_array(trust) + penalty).tocsc()
-        symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._system = splu(system[order][:, order].tocsc(), permc_spec="NATURAL", **symmetric)
-
-    def smooth(self, fields: np.ndarray) -> np.ndarray:
-        """(..., n, 3) of (..., n, 3)."""
-        columns = np.moveaxis(fields, -2, 0)
-        trusted = self._trust[self._order, None] * columns[self._order].reshape(len(columns), -1)
-        smooth = np.empty_like(trusted)
-        smooth[self._order] = self._system.solve(trusted)
-        return np.moveaxis(smooth.reshape(columns.shape), 0, -2)
-
-
-def _smoothings(garment: Garment, distance: np.ndarray, *lengths: float) -> list[_Smoothing]:
-    """One for each length [m] over which to smooth, with the less trust the farther, distance (n,) [m], the body is."""
+def _smoothings(garment: Garment, distance: np.ndarray, *lengths: float) -> list[Callable[[np.ndarray], np.ndarray]]:
+    """One for each length [m] over which to smooth, with the less trust the farther, distance (n,) [m], the body is.
+    Each takes and gives (..., n, 3)."""
     from scipy.sparse import diags_array
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
+    from scipy.sparse.linalg import splu
 
     areas = np.maximum(garment.vertex_areas, 1e-10)  # of vertices that no face uses
     stiffness = _laplacian(garment)
     bending = stiffness @ diags_array(1 / areas) @ stiffness
     trust = areas / (1 + (distance / LOOSE) ** 2) ** 2
-    # ordered here: SuperLU's own orderings hold the interpreter's lock for tens of milliseconds, while clouds wait
-    order = reverse_cuthill_mckee((diags_array(trust) + bending).tocsc(), symmetric_mode=True)
-    return [_Smoothing(trust, length**4 * bending, order) for length in lengths]
+    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+
+    def smoothing(length: float) -> Callable[[np.ndarray], np.ndarray]:
+        system = splu((diags_array(trust) + length**4 * bending).tocsc(), **symmetric)
+
+        def smooth(fields: np.ndarray) -> np.ndarray:
+            columns = np.moveaxis(fields, -2, 0)
+            smooth = system.solve(trust[:, None] * columns.reshape(len(columns), -1))
+            return np.moveaxis(smooth.reshape(columns.shape), 0, -2)
+
+        return smooth
+
+    return list(map(smoothing, lengths))
 
 
 def _along(ways: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -31,9 +31,6 @@ __all__ = ["GarmentOnBody", "checked_fit", "put_on_body"]
 NEGLIGIBLE = 2e-4
 """[m] An avatar whose skin is nowhere farther from the body seen is that body, up to rounding."""
 
-GRADINGS = 8
-"""Garments whose grading is kept."""
-
 
 @dataclass(frozen=True)
 class GarmentOnBody:
@@ -125,7 +122,7 @@ class _Shape:
         return cls(garment, tuple(a.tobytes() for a in (garment.vertices, garment.faces, garment.vertex_areas)))
 
 
-@lru_cache(maxsize=GRADINGS)
+@lru_cache(maxsize=8)
 def _grading(shape: _Shape) -> GarmentGrading:
     """Of a garment, whatever avatar wears it. Setting it up factorises a matrix under the interpreter's lock, so that a
     node that changes bodies need not do it while clouds wait."""

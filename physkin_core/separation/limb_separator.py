@@ -135,7 +135,6 @@ FITTED: WeakKeyDictionary[Avatar, LimbSeparator] = WeakKeyDictionary()
 def separated_motion(motion: Motion, rig: Rig, avatar: Avatar) -> Motion:
     """A motion whose limbs are separated, frame by frame, for a body bound to the rig. Warns and raises as
     `bind_limbs`."""
-    if avatar not in FITTED:
-        FITTED[avatar] = bind_limbs(rig, avatar)
-    positions = [FITTED[avatar].separate(each)[0] for each in motion.positions_for(rig)]
+    separator = FITTED.get(avatar) or FITTED.setdefault(avatar, bind_limbs(rig, avatar))
+    positions = [separator.separate(each)[0] for each in motion.positions_for(rig)]
     return replace(motion, joint_names=rig.joint_names, positions=np.array(positions))

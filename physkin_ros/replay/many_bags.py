@@ -11,15 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from physkin_core.cluster.cluster import Outcome
-from physkin_core.cluster.rows import FolderRow, do_rows
+from physkin_core.cluster.cluster import FolderRow, Outcome, do_folder_rows
 from physkin_core.motion.bag_reader import BagError
-from physkin_ros.replay.report import write_overview
+from physkin_core.motion.loading import BAG_SUFFIXES
+from physkin_ros.replay.report import overview
 
-__all__ = ["bags_in", "holds_bags", "replay_all"]
+__all__ = ["holds_bags", "replay_all"]
 
 METADATA = "metadata.yaml"
-SUFFIXES = (".mcap", ".db3")
 FIGURES, REPORT, CLOUDS = "figures.json", "report.html", "clouds"
 OVERVIEW = "replay.html"
 ONE_BAG = ("json", "report", "baseline")
@@ -31,19 +30,11 @@ def holds_bags(path: Path) -> bool:
     return path.is_dir() and not (path / METADATA).exists()
 
 
-def bags_in(folder: Path) -> list[Path]:
-    """The bags directly in a folder, by name. Raises BagError when there are none."""
-    found = [path for path in sorted(folder.iterdir()) if path.suffix in SUFFIXES or (path / METADATA).exists()]
-    if not found:
-        raise BagError(f"{folder} is no bag and holds none; allowed: folders with {METADATA}, {' and '.join(SUFFIXES)}")
-    return found
-
-
 def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Namespace], int]) -> int:
     """Replay every bag of the folder `options.bag` into `options.output`, and write the page over all.
 
     A bag that cannot be replayed is a row of the page with the reason. Returns 0, or 1 when there is one. Raises
-    BagError for options that are for one bag, or no output folder.
+    BagError for options that are for one bag, no output folder, or where there are no bags directly in the folder.
     """
     for name in ONE_BAG:
         if getattr(options, name) is not None:
@@ -51,15 +42,17 @@ def replay_all(options: argparse.Namespace, replay_one: Callable[[argparse.Names
     output: Path | None = options.output
     if output is None:
         raise BagError(f"{options.bag} is a folder of bags: give --output FOLDER for the results")
-    if output.exists() and not output.is_dir():
-        raise BagError(f"--output {output} is a file; for a folder of bags a folder is needed")
     if output.resolve() == options.bag.resolve():
         raise BagError(f"--output {output} is the folder of the bags itself; choose another")
-    rows = [FolderRow(bag.name, bag, _settings(options, bag)) for bag in bags_in(options.bag)]
-    work, show = partial(_replay_into, options, replay_one), partial(_write_page, output, rows)
-    failed = do_rows(rows, work, output, show, called="bags", address=options.address, here=options.address is None)
-    print(f"wrote {output / OVERVIEW}")
-    return 1 if failed else 0
+    inside = sorted(options.bag.iterdir())
+    bags = [path for path in inside if path.suffix in BAG_SUFFIXES or (path / METADATA).exists()]
+    rows = [FolderRow(bag.name, bag, _settings(options, bag)) for bag in bags]
+    if not rows:
+        allowed = f"folders with {METADATA}, {' and '.join(BAG_SUFFIXES)}"
+        raise BagError(f"{options.bag} is no bag and holds none; allowed: {allowed}")
+    where = {"address": options.address, "here": options.address is None}
+    work, body = partial(_replay_into, options, replay_one), partial(_overview, output, rows)
+    return do_folder_rows(rows, work, output / OVERVIEW, body, called="bags", **where)
 
 
 def _replay_into(options: argparse.Namespace, replay_one: Callable, row: FolderRow, folder: Path) -> dict:
@@ -73,17 +66,14 @@ def _settings(options: argparse.Namespace, bag: Path) -> dict:
     """What the clouds depend on, as far as can be told without reading the bag: its files' sizes and times, options."""
     files = sorted(bag.rglob("*")) if bag.is_dir() else [bag]
     stamps = [[path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in files]
-    chosen = {
-        name: str(value) for name, value in vars(options).items() if name not in (*ONE_BAG, "bag", "output", "address")
+    left_out = (*ONE_BAG, "bag", "output", "address")
+    return {
+        "bag": stamps,
+        "options": {name: str(value) for name, value in vars(options).items() if name not in left_out},
     }
-    return {"bag": stamps, "options": chosen}
 
 
-def _write_page(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> None:
-    shown = []
-    for row in rows:
-        outcome = outcomes.get(row.name)
-        done, reason = outcome is not None and not outcome.reason, outcome.reason if outcome else ""
-        figures = json.loads((output / row.name / FIGURES).read_text(encoding="utf-8")) if done else None
-        shown.append((row.name, f"{row.name}/{REPORT}", figures, reason))
-    write_overview(output / OVERVIEW, shown, refresh=refresh)
+def _overview(output: Path, rows: Sequence[FolderRow], outcomes: Mapping[str, Outcome], refresh: int) -> str:
+    figures = {name: output / name / FIGURES for name, outcome in outcomes.items() if not outcome.reason}
+    read = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in figures.items()}
+    return overview([(row.name, f"{row.name}/{REPORT}", read.get(row.name)) for row in rows])

@@ -24,7 +24,7 @@ from physkin_core.render.filming import dressed_meshes
 from physkin_ros.replay.figures import LABELS, summary
 from physkin_ros.replay.replay import Replay
 
-__all__ = ["thumbnails", "write_overview", "write_report"]
+__all__ = ["overview", "thumbnails", "write_report"]
 
 PICTURES, PICTURE_SIZE = 6, (240, 320)
 PLOTS = {
@@ -87,23 +87,19 @@ def write_report(
     write_page(path, title, "\n".join([*parts, f"<p>{html.escape(remark)}</p>", _plots(figures["series"])]))
 
 
-def write_overview(path: Path, bags: Sequence[tuple[str, str, Mapping | None, str]], *, refresh: int = 0) -> None:
-    """Write the page over many bags. bags: of each its name, the address of its own page, its figures from `describe`,
-    None while there are none, and why it could not be replayed, empty where it could. refresh: as of
-    `write_page`."""
-    rows, failed = [], []
-    for name, address, figures, reason in bags:
-        if figures is None:
-            rows.append([html.escape(name)])
-            failed += [f'<p class="worse">{html.escape(name)}: {html.escape(reason)}</p>'] if reason else []
-            continue
-        counts = figures["counts"]
-        means = [figures["figures"][figure]["mean"] for figure in LABELS]
-        link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
-        rows.append([link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means])
+def overview(bags: Sequence[tuple[str, str, Mapping | None]]) -> str:
+    """A table of many bags, HTML. bags: of each its name, the address of its own page, and its figures from `describe`,
+    None while there are none."""
+    rows = []
+    for name, address, figures in bags:
+        cells = [html.escape(name)]
+        if figures:
+            counts, means = figures["counts"], [figures["figures"][figure]["mean"] for figure in LABELS]
+            link = f'<a href="{quote(address)}">{html.escape(name)}</a>'
+            cells = [link, counts["draped"], counts["rejected"], figures["bag"]["duration_s"], *means]
+        rows.append(cells)
     header, formats = ["bag", "draped", "rejected", "s", *LABELS.values()], ["", "", "", ".2f", *[".3f"] * len(LABELS)]
-    table = tabulate(rows, header, "unsafehtml", floatfmt=formats, missingval="")
-    write_page(path, f"{len(bags)} bags", "\n".join([*failed, "<p>Means over clouds.</p>", table]), refresh=refresh)
+    return f"<p>Means over clouds.</p>\n{tabulate(rows, header, 'unsafehtml', floatfmt=formats, missingval='')}"
 
 
 def _plots(series: Mapping[str, Sequence[float | None]]) -> str:

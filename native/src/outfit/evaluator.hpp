@@ -34,6 +34,12 @@ class Evaluator {
   // `rejected` is then the garment's index.
   Rejection step(const float* joint_positions, const GarmentInput* inputs, const VertexRows* rows) noexcept;
 
+  // The next frame goes on from none: layers look for each other anew.
+  void forget() noexcept {
+    jumped_ = true;
+    for (Kept& kept : orders_) kept.order->forget();
+  }
+
   // Single stages of the last frame once more, for timing.
   void pose(const float* joint_positions, const GarmentInput* inputs) noexcept;
   void run_networks(const GarmentInput* inputs) noexcept;

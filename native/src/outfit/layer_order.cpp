@@ -143,12 +143,17 @@ LayerOrder::LayerOrder(const LayerOrderData& d, Side side, int steady_vertices, 
     if (d.seed_start[c] == d.seed_start[c + 1]) {
       throw std::invalid_argument("seed_start[" + std::to_string(c) + "]: a contact needs a seed");
     }
-    partner_[c] = pushed_partner_[c] = d.seed[d.seed_start[c]];
-    seeds.add(d.seed + d.seed_start[c], d.seed + d.seed_start[c + 1], partner_[c]);
+    seeds.add(d.seed + d.seed_start[c], d.seed + d.seed_start[c + 1], d.seed[d.seed_start[c]]);
   }
   seed_start_ = arena.copy(seeds.start.data(), seeds.start.size());
   seed_ = arena.copy(seeds.values.data(), seeds.values.size());
   for (std::int32_t** list : {&here_, &searching_, &near_}) *list = arena.take<std::int32_t>(d.contacts + 4);
+  forget();
+}
+
+void LayerOrder::forget() noexcept {
+  for (int c = 0; c < contacts_; ++c) partner_[c] = pushed_partner_[c] = seed_[seed_start_[c]];
+  frame_ = 0;
 }
 
 void LayerOrder::apply(const VertexRows& steady_rows, const VertexRows& yielding_rows, bool look_at_all,

@@ -47,6 +47,8 @@ class LayerOrder {
   // where nothing can touch. passed: [s] since that frame, by which pushes keep their pace; negative: that does not
   // count. Allocates nothing.
   void apply(const VertexRows& steady, const VertexRows& yielding, bool look_at_all, float passed) noexcept;
+  // The next frame, in which all is to be looked at, is as the first one.
+  void forget() noexcept;
 
  private:
   // Looks at the partners of the `here` contacts of here_: those near them go to near_, those that have lost them to

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
+import json
 import shutil
 import signal
 import threading
@@ -18,9 +18,8 @@ from threadpoolctl import threadpool_limits
 from physkin_core import BUNDLED_AVATAR, Outfit, load_avatar, load_garment_model, load_motion
 from physkin_core.cli import main
 from physkin_core.cluster import cluster as ray_cluster
-from physkin_core.cluster.drape_many import KEPT, _drape, command_parser
-from physkin_core.cluster.jobs import read_table, rows_of
-from physkin_core.cluster.rows import UNFINISHED, do_rows
+from physkin_core.cluster.cluster import UNFINISHED, FolderRow, do_folder_rows
+from physkin_core.cluster.drape_many import KEPT, _drape, command_parser, read_table, rows_of
 from physkin_core.extras import install_command
 from physkin_core.motion.loading import save_motion
 
@@ -66,7 +65,7 @@ def at_once(jobs, tmp_path_factory):
     options = command_parser().parse_args([str(jobs), "-o", str(output)])
     rows = rows_of(read_table(jobs), options, ".zarr")
     with threadpool_limits(1):  # as workers have it: sums of two threads differ by what is rounded
-        assert do_rows(rows, partial(_drape, ".zarr"), output, lambda *_: None, here=True) == 1
+        assert do_folder_rows(rows, partial(_drape, ".zarr"), output / "page.html", lambda *_: "", here=True) == 1
     return output
 
 
@@ -92,13 +91,13 @@ def test_a_lost_machine_changes_no_byte(machines, jobs, at_once, tmp_path, capsy
     assert main(command) == 1, "one row fails"
     hand.join()
     assert contents(output) == contents(at_once) and not (output / UNFINISHED).exists()
-    table = list(csv.DictReader((output / "rows.csv").read_text().splitlines()))
-    assert [row["frames"] for row in table[:2]] == ["66", "69"] and len(table) == CLIPS + 1
-    assert table[-1]["reason"] == "motion file nosuch.bvh: no such file" and not any(
-        row["reason"] for row in table[:-1]
+    notes = [json.loads((output / f"avatar-walk{k}" / "row.json").read_text())["notes"] for k in range(CLIPS)]
+    assert [row["frames"] for row in notes[:2]] == [66, 69] and notes[1]["motion"] == str(
+        jobs.parent / "walk1.safetensors"
     )
     page = (output / "drape-many.html").read_text()
-    assert f"{CLIPS} finished, 1 failed, 0 waiting" in page and "nosuch.bvh: no such file" in page
+    assert f"{CLIPS} finished, 1 failed, 0 to do" in page
+    assert page.count('class="worse"') == 1 and "motion file nosuch.bvh: no such file" in page
     capsys.readouterr()
     times = {path: path.stat().st_mtime_ns for path in output.glob("*/*")}
     shutil.rmtree(output / "avatar-walk3")
@@ -113,13 +112,17 @@ def test_a_lost_machine_changes_no_byte(machines, jobs, at_once, tmp_path, capsy
 
 def test_a_row_that_ends_its_process_takes_no_other_one_with_it(machines, monkeypatch):
     monkeypatch.setattr(ray_cluster, "RETRIES", 0)
-    rows = [signal.SIGCHLD, signal.SIGKILL, signal.SIGCHLD]
-    with ray_cluster.joined(machines[0].address) as cluster:
-        outcomes = list(filter(None, cluster.run(signal.raise_signal, [rows], look_every=1.0)))
-    assert sorted((outcome.row, outcome.reason) for outcome in outcomes) == [
-        (signal.SIGKILL, "its worker was lost 1 times"),
-        (signal.SIGCHLD, ""),
-        (signal.SIGCHLD, ""),
+    monkeypatch.setattr(ray_cluster, "LONGEST_BATCH", 3)
+    numbers = [signal.SIGCHLD, signal.SIGKILL, signal.SIGCHLD]
+    rows = [FolderRow(f"{each.name}{k}", each, {}) for k, each in enumerate(2 * numbers)]
+    done = ray_cluster.done_on_cluster(lambda row: signal.raise_signal(row.order), rows, address=machines[0].address)
+    assert sorted((outcome.row.name, outcome.reason) for outcome in done if outcome) == [
+        ("SIGCHLD0", ""),
+        ("SIGCHLD2", ""),
+        ("SIGCHLD3", ""),
+        ("SIGCHLD5", ""),
+        ("SIGKILL1", "its worker was lost 1 times"),
+        ("SIGKILL4", "its worker was lost 1 times"),
     ]
 
 
@@ -143,25 +146,25 @@ def test_arrays_are_what_an_outfit_drapes(at_once):
         np.testing.assert_array_equal(shirt["normals"][frame], cloud[:, 3:])
 
 
-@pytest.mark.parametrize("kind", ["glb", "usdc"])
-def test_files_have_the_same_bytes_whatever_was_draped_before(kind, tmp_path):
-    """A worker keeps the outfit from row to row."""
+@pytest.mark.parametrize(("kind", "worn"), [("zarr", "shorts tshirt"), ("glb", "tanktop"), ("usdc", "tanktop")])
+def test_files_have_the_same_bytes_whatever_was_draped_before(kind, worn, tmp_path):
+    """A worker keeps the outfit from row to row; layers find each other anew in each."""
     if kind == "usdc":
         pytest.importorskip("pxr", reason="needs the [usd] extra")
     for name in ("one", "two"):
         save_motion(load_motion("kick").looped(0.2), tmp_path / f"{name}.safetensors")
     table = tmp_path / "jobs.jsonl"
     table.write_text(
-        "\n".join(f'{{"motion": "{tmp_path / name}.safetensors", "garment": "tanktop"}}' for name in ("one", "two"))
+        "\n".join(f'{{"motion": "{tmp_path / name}.safetensors", "garment": "{worn}"}}' for name in ("one", "two"))
     )
     options = command_parser().parse_args([str(table), "-o", str(tmp_path)])
     rows = rows_of(read_table(table), options, f".{kind}")
     for order in (rows, rows[::-1]):
         KEPT.clear()
         output = tmp_path / f"{order[0].name} first"
-        assert do_rows(order, partial(_drape, f".{kind}"), output, lambda *_: None, here=True) == 0
+        assert do_folder_rows(order, partial(_drape, f".{kind}"), output / "page.html", lambda *_: "", here=True) == 0
     first, last = (contents(tmp_path / f"{row.name} first") for row in rows)
-    assert first == last and f"avatar-one/avatar-one.{kind}" in first
+    assert first == last and any(f"avatar-one.{kind}" in name for name in first)
 
 
 @pytest.mark.parametrize(

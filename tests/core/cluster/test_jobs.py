@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from physkin_core.cluster.drape_many import command_parser
-from physkin_core.cluster.jobs import JobsError, crossed, read_table, rows_of
+from physkin_core.cluster.drape_many import JobsError, command_parser, crossed, read_table, rows_of
 
 
 def rows_in(table, *arguments):
@@ -82,7 +81,7 @@ def test_settings_follow_what_a_result_depends_on(written, tmp_path):
     clip = tmp_path / "clip.bvh"
 
     def settings(*arguments):
-        from physkin_core.cluster.jobs import _digest
+        from physkin_core.cluster.drape_many import _digest
 
         _digest.cache_clear()
         (row,) = rows_in(written(f"motion\n{clip}\n"), *arguments).values()

@@ -61,7 +61,7 @@ def test_what_was_interrupted_goes_on(bags, monkeypatch, capsys):
     """With the bags that are left."""
     (bags / "broken.mcap").unlink()
     with monkeypatch.context() as patch:
-        patch.setattr(many_bags, "_write_page", lambda *_: signal.raise_signal(signal.SIGINT))  # after the first bag
+        patch.setattr(many_bags, "_overview", lambda *_: signal.raise_signal(signal.SIGINT))  # after the first bag
         assert cli.main(command(bags)) == 130
     assert cli.main(command(bags)) == 0
     assert "2 bags, 1 of them finished" in capsys.readouterr().out
@@ -72,7 +72,7 @@ def test_what_was_interrupted_goes_on(bags, monkeypatch, capsys):
     [
         (["{bags}"], "is a folder of bags: give --output FOLDER"),
         (["{bags}", "-o", "{bags}"], "is the folder of the bags itself"),
-        (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; for a folder of bags a folder is needed"),
+        (["{bags}", "-o", "{bags}/notes.txt"], "notes.txt is a file; a folder is needed"),
         (["{bags}", "-o", "{tmp}/out", "--json", "{tmp}/x.json"], "--json is for a single bag"),
         (["{bags}", "-o", "{tmp}/out", "--baseline", "{tmp}/x.json"], "--baseline is for a single bag"),
         (["{tmp}/empty", "-o", "{tmp}/out"], "empty is no bag and holds none"),

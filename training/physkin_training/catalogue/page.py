@@ -6,19 +6,16 @@ import base64
 import html
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from tabulate import tabulate
 
-from physkin_core import html_page
 from physkin_core.html_page import badge
-from physkin_training.catalogue.garment_run import LOG, PICTURE
-from physkin_training.catalogue.plan import Job, Status, read_status, steps_taken
+from physkin_training.catalogue.plan import LOG, PICTURE, Job, Status, read_status, steps_taken
 from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT
 
-__all__ = ["write_page"]
+__all__ = ["catalogue_table"]
 
-COLUMNS = (
+HEAD = (
     "",
     "garment",
     "it sits",
@@ -27,30 +24,19 @@ COLUMNS = (
     "training",
     "the mesh",
 )
-COLOURS = {
-    "waiting": "unsure",
-    "stopped": "unsure",
-    "training": "repaired",
-    "failed": "refused",
-    "good": "ok",
-    "usable": "warning",
-    "bad": "refused",
-}
-"""State or verdict -> outcome of a check that has its colour."""
+COLOURS = {"training": "repaired", "failed": "refused", "good": "ok", "usable": "warning", "bad": "refused"}
+"""State or verdict -> outcome of a check that has its colour; others are unsure."""
 PICTURES = {PICTURE: "jpeg", FIRST: "png", PLACEMENT: "png"}
 """In a garment's folder, the best first, and its format."""
-WIDTH = 300
-SHOWN_OUTCOMES = ("repaired", "warning", "unsure", "refused")
 
 
-def write_page(path: Path, jobs: Sequence[Job], *, refresh: int = 0) -> None:
-    """Write the page from what lies on disk. refresh: seconds after which a browser reads it again; 0 for never."""
+def catalogue_table(jobs: Sequence[Job]) -> str:
+    """HTML, from what lies on disk."""
     statuses = {job: read_status(job) for job in jobs}
     counts = Counter(status.state if status else "waiting" for status in statuses.values())
     said = ", ".join(f"{count} {state}" for state, count in counts.items())
     rows = [_row(job, status) for job, status in statuses.items()]
-    table = tabulate(rows, COLUMNS, tablefmt="unsafehtml", disable_numparse=True)
-    html_page.write_page(path, f"{len(jobs)} garments", f"<p>{said}.</p>\n{table}", refresh=refresh)
+    return f"<p>{said}.</p>\n{tabulate(rows, HEAD, tablefmt='unsafehtml', disable_numparse=True)}"
 
 
 def _row(job: Job, status: Status | None) -> list[str]:
@@ -63,7 +49,7 @@ def _row(job: Job, status: Status | None) -> list[str]:
     cells = [
         _picture(job) if status else "",
         name,
-        badge(verdict, COLOURS[verdict]),
+        badge(verdict, COLOURS.get(verdict, "unsure")),
         _on_avatar(status.check) if status and status.check else "",
         _held_out(found["figures"]) if found else "",
         _training(job, status, found) if status else "",
@@ -79,7 +65,7 @@ def _picture(job: Job) -> str:
     for name, kind in PICTURES.items():
         if (job.folder / name).exists():
             data = base64.b64encode((job.folder / name).read_bytes()).decode()
-            style = f'style="width: {WIDTH}px; max-width: none"'
+            style = 'style="width: 300px; max-width: none"'
             return f'<img {style} src="data:image/{kind};base64,{data}" alt="{html.escape(job.name)}">'
     return ""
 
@@ -93,9 +79,8 @@ def _on_avatar(check: dict) -> str:
 def _held_out(figures: dict) -> str:
     """Strains of the model and of plain skinning."""
     words = (("edges", "edge_strain_percent"), ("areas", "area_strain_percent"), ("inside", "inside_percent"))
-    return _lines(
-        [f"{word} {figures['model'][key]:.1f} %, skinning {figures['skinning'][key]:.1f} %" for word, key in words]
-    )
+    model, skinning = figures["model"], figures["skinning"]
+    return _lines([f"{word} {model[key]:.1f} %, skinning {skinning[key]:.1f} %" for word, key in words])
 
 
 def _training(job: Job, status: Status, found: dict) -> str:
@@ -112,7 +97,7 @@ def _training(job: Job, status: Status, found: dict) -> str:
 
 def _mesh(checks: Sequence[dict]) -> str:
     """What was not simply right."""
-    shown = [check for check in checks if check["outcome"] in SHOWN_OUTCOMES]
+    shown = [check for check in checks if check["outcome"] != "ok"]
     lines = [f"{badge(check['outcome'], check['outcome'])} {html.escape(check['check'])}" for check in shown]
     return _lines(lines or ["all is well"])
 

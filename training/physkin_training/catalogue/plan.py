@@ -21,9 +21,10 @@ from physkin_training.train.run import CHECKPOINT
 
 __all__ = ["CatalogueError", "Job", "Status", "find_jobs", "read_status", "stage", "steps_taken", "write_status"]
 
-RECIPE_SUFFIX = ".toml"
+FILES = ("avatar", "rig", "bones", "recipe")
 ALLOWED = (*SUFFIXES, PATTERN_SUFFIX)
-STATUS = "status.json"
+STATUS, LOG, PICTURE = "status.json", "log.txt", "picture.jpg"
+"""In a garment's folder."""
 
 
 class CatalogueError(ValueError):
@@ -77,7 +78,7 @@ def find_jobs(folder: Path, output: Path, settings: FitSettings) -> list[Job]:
     """
     if not folder.is_dir():
         raise CatalogueError(f"{folder} is not a folder of garment meshes or patterns")
-    given = {name: value and Path(value).resolve() for name, value in _files(settings).items()}
+    given = {name: (value := getattr(settings, name)) and Path(value).resolve() for name in FILES}
     for name, path in given.items():
         if path and not path.is_file():
             raise CatalogueError(f"--{name} {path}: no such file")
@@ -85,35 +86,27 @@ def find_jobs(folder: Path, output: Path, settings: FitSettings) -> list[Job]:
     meshes: dict[str, Path] = {}
     for path in files:
         if path.suffix.lower() in ALLOWED:
-            if path.stem in meshes:
-                raise CatalogueError(
-                    f"{meshes[path.stem]} and {path} would both become {path.stem}.safetensors: rename one"
-                )
-            meshes[path.stem] = path
+            if (other := meshes.setdefault(path.stem, path)) != path:
+                raise CatalogueError(f"{other} and {path} would both become {path.stem}.safetensors: rename one")
     if not meshes:
         raise CatalogueError(f"{folder} holds no garment mesh or pattern; allowed: {', '.join(ALLOWED)}")
-    recipes = {path.stem: path.resolve() for path in files if path.suffix.lower() == RECIPE_SUFFIX}
+    recipes = {path.stem: path.resolve() for path in files if path.suffix.lower() == ".toml"}
     for name, path in recipes.items():
         if name not in meshes and path != given["recipe"]:
             raise CatalogueError(f"{path} belongs to no garment: there is no {name}{SUFFIXES[0]} beside it")
     jobs = []
     for name, mesh in meshes.items():
-        own = given | {"recipe": recipes.get(name, given["recipe"])}
-        texts = {option: str(own[option]) if own[option] else None for option in ("avatar", "rig", "bones")}
-        of_job = replace(settings, **texts, recipe=own["recipe"], resume=True)
+        texts = {option: str(path) if path else None for option, path in given.items()}
+        of_job = replace(settings, **texts | {"recipe": recipes.get(name, given["recipe"])}, resume=True)
         path = (output / f"{name}.safetensors").resolve()
         jobs.append(Job(mesh.resolve(), path, of_job, _fingerprint(mesh, of_job)))
     return jobs
 
 
-def _files(settings: FitSettings) -> dict[str, str | Path | None]:
-    return {name: getattr(settings, name) for name in ("avatar", "rig", "bones", "recipe")}
-
-
 def _fingerprint(mesh: Path, settings: FitSettings) -> str:
     chosen = [settings.minutes, settings.steps, settings.start, settings.edge_length]
     digest = hashlib.sha256(json.dumps(chosen).encode())
-    for path in (mesh, *filter(None, _files(settings).values())):
+    for path in (mesh, *filter(None, (getattr(settings, name) for name in FILES))):
         digest.update(hashlib.sha256(Path(path).read_bytes()).digest())
     return digest.hexdigest()
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import time
-from collections import Counter
-from collections.abc import Sequence
-from contextlib import closing
-from dataclasses import replace
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from physkin_core.cluster.cluster import Cluster, Outcome, add_address, joined
-from physkin_core.progress import progress_line
-from physkin_training.catalogue.garment_run import train_garment
-from physkin_training.catalogue.page import write_page
+from PIL import Image
+
+from physkin_core import BUNDLED_AVATAR, Draper, GarmentModel, load_avatar
+from physkin_core.check.garment_check import check_garment
+from physkin_core.cluster.cluster import Outcome, add_address, do_rows
+from physkin_core.pictures.picture import PictureError
+from physkin_training.catalogue.page import catalogue_table
 from physkin_training.catalogue.plan import (
+    LOG,
+    PICTURE,
     CatalogueError,
     Job,
     Status,
@@ -25,14 +29,15 @@ from physkin_training.catalogue.plan import (
     steps_taken,
     write_status,
 )
+from physkin_training.fit_garment.fit_garment import FIRST, PLACEMENT, fit_garment, log_progress
+from physkin_training.fit_garment.pictures import in_motion
 from physkin_training.fit_garment.settings import FitSettings, add_fit_options
+from physkin_training.train.checkpoint import checkpoint_step
+from physkin_training.train.run import CHECKPOINT
 
 __all__ = ["command_parser", "main", "train_catalogue"]
 
 PAGE = "catalogue.html"
-PAGE_EVERY = 15
-"""Seconds from one page to the next while nothing ends."""
-LOOK_EVERY = 2.0
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -41,10 +46,8 @@ def main(argv: list[str] | None = None) -> int:
     options = command_parser().parse_args(argv)
     if options.cpus < 1:
         raise CatalogueError(f"--cpus {options.cpus} must be at least 1")
-    if options.output.exists() and not options.output.is_dir():
-        raise CatalogueError(f"--output {options.output} is a file; a folder is needed")
     jobs = find_jobs(options.folder, options.output, FitSettings.of(options))
-    return 1 if train_catalogue(jobs, options.output, options.address, options.cpus, options.device) else 0
+    return train_catalogue(jobs, options.output, options.address, options.cpus, options.device)
 
 
 def train_catalogue(
@@ -52,72 +55,85 @@ def train_catalogue(
 ) -> int:
     """Train what is not finished of the jobs, and write the page of all into the folder.
 
-    address, cpus, device: see `joined`. Returns how many garments failed. Raises what `joined` does, and
-    KeyboardInterrupt for Ctrl-C, after all checkpoints; the same jobs then go on.
+    address, cpus, device: see `done_on_cluster`. Returns and raises as `do_rows`; KeyboardInterrupt for Ctrl-C comes
+    after all checkpoints.
     """
-    output.mkdir(parents=True, exist_ok=True)
-    stages = {job: stage(job) for job in jobs}
-    to_do = [job for job in jobs if stages[job] != "finished"]
-    to_do.sort(key=lambda job: stages[job] == "new")  # what was begun is finished first
-    counts = Counter(finished=0, resumes=0, new=0) + Counter(stages.values())
-    print(f"{counts['finished']} garments are finished, {counts['resumes']} are gone on with, {counts['new']} are new")
-    for job in to_do:
-        status = read_status(job)
-        if status and status.state == "training":  # by a run that is no more
+    _body(jobs, {}, 0)  # what was begun by a run that is no more was stopped
+    where = {"address": address, "cpus": cpus, "device": device, "alone": True}
+    return do_rows(
+        sorted(jobs, key=lambda job: stage(job) == "new"),  # what was begun is finished first
+        train_garment,
+        lambda job: read_status(job) if stage(job) == "finished" else None,
+        output / PAGE,
+        partial(_body, jobs),
+        called="garments",
+        say=lambda status: f"{status.check['verdict']}, begun {status.starts} times".removesuffix(", begun 1 times"),
+        share=lambda job: taken[0] / taken[1] if read_status(job) and (taken := steps_taken(job)) else 0.0,
+        **where,
+    )
+
+
+def _body(jobs: Sequence[Job], outcomes: Mapping[str, Outcome], refresh: int) -> str:
+    """Of the page; how a training ended that could not note it itself is noted."""
+    for job in jobs:
+        status = read_status(job) or Status(job.fingerprint, "failed", starts=0)
+        if reason := outcomes.get(job.name, Outcome(job)).reason:
+            write_status(job, replace(status, state="failed", reason=reason))
+        elif not refresh and status.state == "training":
             write_status(job, replace(status, state="stopped"))
-    page = output / PAGE
-    write_page(page, jobs)
-    if not to_do:
-        return 0
+    return catalogue_table(jobs)
+
+
+def train_garment(job: Job) -> Status:
+    """Check, train and report on the job's garment as `physkin fit-garment` does; go on where it was stopped. On a GPU
+    if Ray has given this process one.
+
+    All that this process prints from here on goes into the log in the garment's folder. Raises as `fit_garment` does
+    for a mesh that is refused, and whatever training ends with.
+    """
+    import ray
+
+    device = "cuda" if ray.get_gpu_ids() else "cpu"
+    resumes = stage(job) == "resumes"
+    status = read_status(job) or Status(job.fingerprint, "training", starts=0)
+    resumed_at = [*status.resumed_at, checkpoint_step(job.folder / CHECKPOINT)] if resumes else []
+    status = replace(status, state="training", reason="", starts=status.starts + 1, resumed_at=resumed_at)
+    if not resumes:  # of another mesh or other settings, perhaps
+        for name in (CHECKPOINT, PICTURE, FIRST, PLACEMENT, "losses.jsonl"):
+            (job.folder / name).unlink(missing_ok=True)
+    write_status(job, status)
+    _print_into(job.folder / LOG)
+    log_progress()
     try:
-        with joined(address, cpus=cpus, device=device) as cluster:
-            failed = _train(cluster, jobs, to_do, page)
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on")
+        fitted = fit_garment(job.mesh, job.output, replace(job.settings, device=device))
+        check = _looked_at(job, fitted.model)
+    except Exception as error:
+        print(f"error: {error}", file=sys.stderr)
         raise
-    finally:
-        write_page(page, jobs)
-        print(f"wrote {page}")
-    return failed
-
-
-def _train(cluster: Cluster, jobs: Sequence[Job], to_do: Sequence[Job], page: Path) -> int:
-    """Returns how many garments failed."""
-    failed = ended = 0
-    where = "a GPU each" if cluster.gpus else f"{cluster.cpus} processor cores each"
-    print(f"training {len(to_do)} garments, {cluster.at_once} at once, {where}")
-    watch, written = progress_line(f"training {len(to_do)} garments"), 0.0
-    already = {job: _share(job) for job in to_do}
-    train = partial(train_garment, device=cluster.device)
-    with closing(cluster.run(train, [[job] for job in to_do], look_every=LOOK_EVERY, alone=True)) as outcomes:
-        for outcome in outcomes:
-            if outcome:
-                job, status = outcome.row, outcome.result or _lost(outcome)
-                already.pop(job)
-                ended += 1
-                failed += status.state == "failed"
-                said = status.check["verdict"] if status.check else status.reason
-                begun = f", begun {status.starts} times" if status.starts > 1 else ""
-                print(f"{ended} of {len(to_do)}: {job.name} {status.state}{begun}: {said}")
-            if outcome or time.monotonic() > written + PAGE_EVERY:
-                write_page(page, jobs, refresh=PAGE_EVERY)
-                written = time.monotonic()
-            watch((ended + sum(max(0.0, _share(job) - before) for job, before in already.items())) / len(to_do))
-    return failed
-
-
-def _lost(outcome: Outcome) -> Status:
-    """Note that the job's worker was lost."""
-    job, noted = outcome.row, read_status(outcome.row)
-    status = Status(job.fingerprint, "failed", outcome.reason, noted.starts if noted else 0)
+    status = replace(status, state="finished", check=check, fitted=asdict(replace(fitted, model=None)))
     write_status(job, status)
     return status
 
 
-def _share(job: Job) -> float:
-    """How much of a garment's training is done."""
-    status, taken = read_status(job), steps_taken(job)
-    return taken[0] / taken[1] if status and taken else 0.0
+def _looked_at(job: Job, model: GarmentModel) -> dict:
+    """Figures of the trained garment on the avatar; its picture in a frame of motion is written."""
+    worn = job.settings
+    avatar = load_avatar(worn.avatar or BUNDLED_AVATAR, model.rig, rig_file=worn.rig, bones=worn.bones)
+    draper = Draper(model, avatar)
+    try:
+        picture = Image.fromarray(in_motion(draper))
+        picture.save(job.folder / PICTURE, quality=85)  # a tenth of a PNG: a page holds a thousand
+    except PictureError as error:
+        print(f"no picture: {error}")
+    return check_garment(draper.layer, draper.avatar).as_plain_data()
+
+
+def _print_into(log: Path) -> None:
+    """Everything that this process prints from here on, from C++ and CUDA, too, is appended to the log."""
+    file = open(log, "a", buffering=1)
+    for stream in (1, 2):
+        os.dup2(file.fileno(), stream)
+    sys.stdout = sys.stderr = file
 
 
 def command_parser() -> argparse.ArgumentParser:
