@@ -10,22 +10,15 @@ const [X, Y, Z, SAME] = [...AXES, AXES.flat()];
 /** table: of `LandmarkReader("mediapipe").to_json`; joints: of an outfit.
  * status: "seen", "part" or "lost"; lost: what is not seen, such as ["left arm", "head"]. */
 export class LandmarkReader {
-  status = "lost";
-  lost = ["trunk"];
   #table;
-  #joints;
-  #balls;
   #state;
 
   constructor(table, joints) {
-    const index = new Map(joints.map(({ name }, joint) => [name, joint]));
-    [this.#table, this.#joints] = [table, joints];
-    const balls = Object.entries(table.balls);
-    this.#balls = balls.map(([bone, ball]) => [bone, ball, ball.joints.map((name) => index.get(name))]);
+    this.#table = { ...table, joints: new Map(joints.map((joint, at) => [joint.name, { ...joint, at }])) };
     const value = (row) => table.standing[TRUNK.indexOf(row)] ?? [0, 0, 0];
     this.#state = {
       points: table.columns.map((_, row) => ({ value: value(row), speed: [0, 0, 0], at: -Infinity })),
-      bones: Object.fromEntries([...balls, ["root"]].map(([bone]) => [bone, { at: -Infinity, trust: 0 }])),
+      bones: Object.fromEntries(["root", ...Object.keys(table.balls)].map((bone) => [bone, { at: -Infinity, trust: 0 }])),
       ...{ time: -Infinity, sizes: [], forearms: [], leans: [], hinges: {}, root: SAME, height: 0.914 },
       positions: joints.map(({ rest }) => rest),
     };
@@ -34,7 +27,7 @@ export class LandmarkReader {
   /** points: { x, y, z, visibility } of each world landmark; null where nobody is seen. time [s], later than before.
    * Returns joint positions, and the root's height and its rotation, a matrix. */
   read(points, time) {
-    const { columns, axes, least_confidence, straight, recent } = this.#table;
+    const { columns, axes, least_confidence, straight, recent, soles } = this.#table;
     const passed = Math.min(time - this.#state.time, 10);
     this.#state.time = time;
     let found = columns.map((column) => {
@@ -49,7 +42,6 @@ export class LandmarkReader {
       [turns, this.lost] = this.#turns(seen, straight * Math.exp(-passed / recent));
       if (!HIPS.every((row) => found[row])) this.lost.push("hips");
       this.status = this.lost.length > 0 ? "part" : "seen";
-      const { soles } = this.#table;
       const heights = soles.filter(([row]) => seen[row]).map(([row, sole]) => sole - this.#state.points[row].value[2]);
       if (heights.length > 0) this.#state.height = Math.max(...heights);
     }
@@ -75,13 +67,13 @@ export class LandmarkReader {
   #inSpace(found) {
     const { clearly, limbs, sizes, stands } = this.#table;
     const state = this.#state;
-    for (const [elbow, wrist] of limbs.filter(({ name }) => name.includes("arm")).map(({ halves }) => halves[1])) {
+    for (const [, elbow, wrist] of limbs.filter(({ name }) => name.includes("arm")).map(({ rows }) => rows)) {
       if (!found[elbow] || !found[wrist]) continue;
       const [ahead, left, up] = minus(found[wrist], found[elbow]);
       state.forearms = [...state.forearms, norm([ahead, left, up])].slice(-sizes);
       const length = sorted(state.forearms)[Math.floor(0.75 * state.forearms.length)];
-      const deep = Math.sqrt(Math.max(length ** 2 - left ** 2 - up ** 2, 0));
-      if (Math.abs(ahead) > clearly * length) found[wrist][0] += Math.sign(ahead) * Math.max(deep - Math.abs(ahead), 0);
+      const deep = Math.sqrt(Math.max(length ** 2 - left ** 2 - up ** 2, ahead ** 2));
+      if (Math.abs(ahead) > clearly * length) found[wrist][0] += Math.sign(ahead) * deep - ahead;
     }
     if ([...TRUNK, ...FEET].every((row) => found[row])) {
       const [ahead, , up] = minus(...[SHOULDERS, FEET].map((rows) => mean(rows.map((row) => found[row]))));
@@ -120,8 +112,7 @@ export class LandmarkReader {
         points[row].value = between(at(row), below, 1 - Math.exp(-passed / ease));
       });
     }
-    TRUNK.forEach((row) => (counts[row] = true));
-    return counts;
+    return counts.map((known, row) => known || TRUNK.includes(row));
   }
 
   // Rotations of bones from their parents, of "root" from the world; which parts are lost.
@@ -144,8 +135,7 @@ export class LandmarkReader {
   }
 
   #bend(limb, at, seen, carrier, memory, turns) {
-    const { natural, heel_to_toe, ankle_to_toe } = this.#table;
-    const { hinges } = this.#state;
+    const [{ natural }, { hinges }] = [this.#table, this.#state];
     const [[a, b, c, heel, toe], back] = [limb.rows, inverse(carrier)];
     const [upper, lower] = [unit(minus(at[b], at[a])), unit(minus(at[c], at[b]))];
     if (!seen[a] || !seen[b] || norm(upper) === 0) return;
@@ -164,14 +154,13 @@ export class LandmarkReader {
     if (bend === null) return;
     turns[limb.bones[1]] = bend;
     if (toe === undefined || !seen[toe]) return;
-    const [start, sole] = seen[heel] ? [heel, heel_to_toe] : [c, ankle_to_toe];
+    const [start, own] = seen[heel] ? [heel, limb.heel_to_toe] : [c, limb.ankle_to_toe];
     const shin = product(above, bend);
-    const own = sole.map((each, axis) => each * limb.foot[axis]);
     turns[limb.bones[2]] = product(inverse(shin), turnOf(minus(at[toe], at[start]), turned(shin, Y), own, Y));
   }
 
   #follow(turns, passed) {
-    const { held, ease, trust } = this.#table;
+    const { held, ease, trust, balls, joints } = this.#table;
     const { bones, positions, root, time } = this.#state;
     const first = Object.values(bones).every(({ at }) => at === -Infinity);
     const shareOf = (bone) => {
@@ -182,15 +171,14 @@ export class LandmarkReader {
     };
     const wanted = turns.root ?? product(smallestTurn(turned(root, Z), Z), root);
     this.#state.root = product(root, partOf(product(inverse(root), wanted), shareOf("root")));
-    for (const [bone, ball, joints] of this.#balls) {
+    for (const [bone, ball] of Object.entries(balls)) {
       const share = shareOf(bone);
       anglesOf(ball, turns[bone] ?? SAME).forEach((angle, slot) => {
-        const joint = joints[slot];
-        if (joint === undefined) return;
-        const { lower, rest, upper } = this.#joints[joint];
+        if (!ball.joints[slot]) return;
+        const { at, lower, rest, upper } = joints.get(ball.joints[slot]);
         const rounds = Math.floor((rest + angle - (lower + upper) / 2) / (2 * Math.PI) + 0.5);
         const within = Math.min(Math.max(rest + angle - 2 * Math.PI * rounds, lower), upper);
-        positions[joint] += share * (within - positions[joint]);
+        positions[at] += share * (within - positions[at]);
       });
     }
   }
@@ -217,22 +205,16 @@ function median(values) {
   return (ordered[Math.ceil(half) - 1] + ordered[Math.floor(half)]) / 2;
 }
 
-// The rotation that takes two directions at rest to those that are seen, the first exactly.
-function turnOf(first, second, firstRest, secondRest) {
-  const frames = [[first, second], [firstRest, secondRest]].map(([one, two]) => {
-    const along = norm(one) > 0 ? unit(one) : X;
-    const least = AXES.reduce((a, b) => (Math.abs(dot(along, b)) < Math.abs(dot(along, a)) ? b : a));
-    const across = cross(along, two);
-    const square = unit(dot(across, across) > 1e-18 ? across : cross(along, least));
-    return [...along, ...cross(square, along), ...square];
-  });
-  return product(inverse(frames[0]), frames[1]);
-}
+// The rotation that takes two directions at rest to those that are seen, the first exactly; that of least angle.
+const turnOf = (first, second, ...atRest) => product(inverse(frame(first, second)), frame(...atRest));
+const smallestTurn = (start, end) => turnOf(end, cross(start, end), start, cross(start, end));
 
-// The rotation of least angle between two directions.
-function smallestTurn(start, end) {
-  const axis = cross(start, end);
-  return turnOf(end, axis, start, axis);
+function frame(one, two) {
+  const along = norm(one) > 0 ? unit(one) : X;
+  const least = AXES.reduce((a, b) => (Math.abs(dot(along, b)) < Math.abs(dot(along, a)) ? b : a));
+  const across = cross(along, two);
+  const square = unit(dot(across, across) > 1e-18 ? across : cross(along, least));
+  return [...along, ...cross(square, along), ...square];
 }
 
 // A share of a rotation; none of half a turn, whose axis is not known.

@@ -56,7 +56,7 @@ which it takes up again; in which the floor rises to a foot."""
 STRAIGHT, NATURAL = 0.3, 0.03
 """Sines of the bend up to which a limb bends about the axis of before, and about the one that needs no twist."""
 NUMBERS = """plausible sizes clearly stands slowest_hz hz_a_speed speed_hz carry recent held ease trust straight natural
-standing up ahead heel_to_toe ankle_to_toe""".split()
+standing up ahead""".split()
 
 
 class LandmarkReader:
@@ -118,9 +118,8 @@ class LandmarkReader:
         for limb in self._limbs:
             joints |= limb.joints
         self._bones = (*joints, "root")
-        balls = [rig_ball_joint(self._rig, names, half=half) for names, half in joints.values()]
-        self._solver = BallRotations(balls, self._rig.joint_indices)
-        self._balls = dict(zip(joints, balls))
+        self._balls = {bone: rig_ball_joint(self._rig, names, half=half) for bone, (names, half) in joints.items()}
+        self._solver = BallRotations([*self._balls.values()], self._rig.joint_indices)
         self.reset()
 
     def reset(self) -> None:
@@ -194,15 +193,10 @@ class LandmarkReader:
         """MediaPipe's reader in numbers, for one in another language: native/web/landmarks.js."""
         table = {name: globals()[name.upper()] for name in NUMBERS}
         parts = [name.partition(".")[0] for name in USED]
-        table |= {
-            "axes": self._axes.ravel(),
-            "columns": self._columns,
-            "least_confidence": self._least,
-            "soles": [[row, SOLE[part]] for row, part in enumerate(parts) if part in SOLE],
-            "chains": [SPINE, NECK],
-            "limbs": [limb.numbers() for limb in self._limbs],
-            "balls": {bone: ball_entry(ball, np.eye(3)) for bone, ball in self._balls.items()},
-        }
+        table |= {"axes": self._axes.ravel(), "columns": self._columns, "least_confidence": self._least}
+        table["soles"] = [[row, SOLE[part]] for row, part in enumerate(parts) if part in SOLE]
+        table |= {"chains": [SPINE, NECK], "limbs": [limb.numbers() for limb in self._limbs]}
+        table["balls"] = {bone: ball_entry(ball, np.eye(3)) for bone, ball in self._balls.items()}
         return json.dumps(table, default=lambda array: array.tolist(), separators=(",", ":"))
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
@@ -222,14 +216,14 @@ class LandmarkReader:
         """Landmarks whose depth is guessed from one picture: what a forearm lacks in length is depth, where it clearly
         points towards the camera or from it. Who stands has the shoulders above the feet, in the median of frames,
         however the camera is tilted."""
-        for elbow, wrist, _ in (limb.halves[1] for limb in self._limbs if "arm" in limb.name):
+        for _, elbow, wrist in (limb.rows for limb in self._limbs if "arm" in limb.name):
             if seen[elbow] and seen[wrist]:
-                along = found[wrist] - found[elbow]
-                self._forearms.append(float(np.linalg.norm(along)))
+                ahead, left, up = found[wrist] - found[elbow]
+                self._forearms.append(float(np.linalg.norm([ahead, left, up])))
                 length = sorted(self._forearms)[3 * len(self._forearms) // 4]  # depth is rather lost than added
-                deep = length**2 - along[1] ** 2 - along[2] ** 2
-                if CLEARLY * length < abs(along[0]) and along[0] ** 2 < deep:
-                    found[wrist, 0] = found[elbow, 0] + np.copysign(np.sqrt(deep), along[0])
+                deep = np.sqrt(max(length**2 - left**2 - up**2, ahead**2))
+                if abs(ahead) > CLEARLY * length:
+                    found[wrist, 0] += np.copysign(deep, ahead) - ahead
         up, hips = found[SHOULDERS].mean(axis=0) - found[FEET].mean(axis=0), found[HIPS].mean(axis=0)
         if up[2] > STANDS and np.linalg.norm(hips) < 0.1 and seen[TRUNK].all() and seen[FEET].all():
             self._leans.append(float(np.arctan2(up[0], up[2])))
@@ -314,13 +308,12 @@ class _Limb:
     def __init__(self, rig: Rig, limb: str, side: str) -> None:
         parts, bones, ball, half, hinge = LIMBS[limb]
         letter = side[0].upper()
-        self.name, self._foot = f"{side} {limb}", np.array([1, -1 if side == "left" else 1, 1])
+        self.name, mirrored = f"{side} {limb}", np.array([1, -1 if side == "left" else 1, 1])
+        self._heel_to_toe, self._ankle_to_toe = HEEL_TO_TOE * mirrored, ANKLE_TO_TOE * mirrored
         self.bones = upper, middle, end = [f"{bone}.{letter}" for bone in bones]
         self.rows = [USED.index(f"{part}.{letter}") for part in (*parts, *(("heel", "toe") * (limb == "leg")))]
-        self.joints = {
-            upper: ([f"{upper}_{axis}" for axis in ball], half.format(letter)),
-            middle: ([f"{middle}_{hinge}"], ""),
-        }
+        twist = half.format(letter)
+        self.joints = {upper: ([f"{upper}_{axis}" for axis in ball], twist), middle: ([f"{middle}_{hinge}"], "")}
         if limb == "leg":
             self.joints[end] = ([f"{end}_y", f"{end}_z"], "")
         joint = rig.joint_indices[f"{middle}_{hinge}"]
@@ -360,9 +353,9 @@ class _Limb:
         if bend is not None:
             turns[self.bones[1]] = bend
             if foot and seen[foot[1]]:
-                start, sole = (foot[0], HEEL_TO_TOE) if seen[foot[0]] else (c, ANKLE_TO_TOE)
+                start, sole = (foot[0], self._heel_to_toe) if seen[foot[0]] else (c, self._ankle_to_toe)
                 shin = above @ bend
-                turns[self.bones[2]] = shin.T @ _turn(at[foot[1]] - at[start], shin @ Y, sole * self._foot, Y)
+                turns[self.bones[2]] = shin.T @ _turn(at[foot[1]] - at[start], shin @ Y, sole, Y)
         return turns
 
 

@@ -45,10 +45,10 @@ KEEP = f"""(({{ shown }}) => {{
     frames.push(bits.reduce((a, b) => a + b));
     return image;
   }};
-  let [times, count] = [null, 0];
+  let [ms, count] = [0, 0];
   const keep = () => {{
-    if (shown.camera && shown.camera.times !== times && shown.camera.now()) {{
-      times = shown.camera.times;
+    if (shown.camera?.now() && shown.camera.ms !== ms) {{
+      ms = shown.camera.ms;
       const {{ positions, root }} = shown.camera.now(); // the page has just reached what it read before
       const cloth = Array.from(shown.outfit.garments[1].positions.slice(0, 300));
       texts.push(document.getElementById('seen').textContent);

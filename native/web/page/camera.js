@@ -7,7 +7,6 @@ const PICTURE = { width: 480, height: 360, facingMode: "user" };
 const SAID = { seen: "You are seen.", lost: "Nobody is seen: step into the picture." };
 const OTHERS = " Somebody else is there, too: one of you is followed.";
 const IN_GLTF = [4, 5, 3, 7, 8, 6, 1, 2, 0]; // numbers of a rotation
-const COUNTED = 30; // landmark frames whose time is said
 const LONGEST = 200; // [ms] in which a pose moves on to the next
 
 /** An open camera, whose poses move on evenly between landmarks. */
@@ -21,7 +20,7 @@ export class Camera {
   #shown = 0; // [ms] when the picture was that is looked at
   #came = 0;
   #between = 1; // [ms] from landmarks to landmarks
-  times = []; // [ms] that landmarks took
+  ms = 0; // that landmarks take, of late
 
   /** video: shows the picture. scale: of the avatar's legs to the default's. say: is told what is seen. Throws where
    * there is no camera, or the visitor does not allow it. */
@@ -69,11 +68,10 @@ export class Camera {
     const pose = { positions, root: [0, this.#scale * height, 0, ...quaternion.toArray()] };
     this.#poses = [this.now() ?? pose, pose];
     [this.#between, this.#came] = [Math.min(now - this.#came, LONGEST), now];
-    this.times = [...this.times, ms].slice(-COUNTED);
+    this.ms = this.ms ? 0.9 * this.ms + 0.1 * ms : ms;
     const { status, lost } = this.#reader;
-    const took = this.times.reduce((a, b) => a + b) / this.times.length;
     const said = SAID[status] ?? `Not seen: ${lost.join(", ")}.`;
-    this.#say(`${said}${others ? OTHERS : ""} Landmarks: ${took.toFixed(0)} ms.`);
+    this.#say(`${said}${others ? OTHERS : ""} Landmarks: ${this.ms.toFixed(0)} ms.`);
     this.#look();
   }
 }

@@ -3,19 +3,14 @@
 // from the camera.
 
 // The package takes this thread for a page: what it does in workers loads its models as scripts.
-function set(name, value) {
+const set = function (name, value) {
   this[name] = value;
-}
+};
 self.window = self;
 self.document = {
   addEventListener() {},
   createElement: (tag) => (tag === "canvas" ? new OffscreenCanvas(1, 1) : { setAttribute: set, addEventListener: set }),
-  body: {
-    appendChild({ src, load }) {
-      importScripts(src);
-      load();
-    },
-  },
+  body: { appendChild: ({ src, load }) => load(importScripts(src)) },
 };
 importScripts("mediapipe/pose.js");
 

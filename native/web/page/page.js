@@ -13,11 +13,10 @@ const bridge = asked.get("bridge");
 
 async function start() {
   const began = performance.now();
-  const motionFile = fetch("motion.json").then((response) => response.json());
   const [outfit, model, motion] = await Promise.all([
     loadOutfit("outfit.physkin.gz"),
     new GLTFLoader().loadAsync("dressed.glb"),
-    motionFile,
+    fetch("motion.json").then((response) => response.json()),
   ]);
   const loaded = performance.now() - began;
   const said = `loaded in ${(loaded / 1000).toFixed(2)} s`;
