@@ -227,7 +227,7 @@ class LandmarkReader:
         up, hips = found[SHOULDERS].mean(axis=0) - found[FEET].mean(axis=0), found[HIPS].mean(axis=0)
         if up[2] > STANDS and np.linalg.norm(hips) < 0.1 and seen[TRUNK].all() and seen[FEET].all():
             self._leans.append(float(np.arctan2(up[0], up[2])))
-        return found @ axis_rotation(Y, np.median(self._leans or [0.0]))
+        return found @ axis_rotation(Y, np.median(self._leans or [0.0], axis=0))
 
     def _smooth(self, found: np.ndarray, seen: np.ndarray, passed: float) -> np.ndarray:
         """Smooth landmarks, from the middle of the hips, and that itself. Which of them count."""
