@@ -66,7 +66,8 @@ gallery: $(VENV)/installed-test
 # With what a page needs in build/web/page, which `physkin export --web` copies: it is put beside the installed module, and
 # into wheels that are built afterwards.
 wasm: $(WEB)/made $(VENV)/installed-view
-	$(VENV)/bin/python native/web/install_page.py $(WEB)/page
+	$(VENV)/bin/python -c "import shutil; from physkin_core.export.web_page import PAGE; \
+		shutil.rmtree(PAGE, ignore_errors=True); print(shutil.copytree('$(WEB)/page', PAGE))"
 
 $(WEB)/made: $(WEB_FROM)
 	mkdir -p build

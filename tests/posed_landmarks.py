@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physkin_core.motion.landmarks import USED
+from physkin_core import load_motion
+from physkin_core.motion.landmarks import LANDMARK_SETS, USED
+from physkin_core.rig.joint_names import plain_name
+
+RATE_HZ = 30.0
+NAMES = LANDMARK_SETS["mediapipe"]["names"].split()
 
 CAMERA = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
 """A camera's x (right), y (down) and z (away) of a person who looks at it, from X forward, Y left, Z up."""
@@ -53,3 +58,31 @@ def angles_between(seen, truth, segments=SEGMENTS):
         cosine = (along[0] * along[1]).sum(axis=-1) / np.prod([np.linalg.norm(each, axis=-1) for each in along], axis=0)
         found[segment] = np.degrees(np.arccos(cosine.clip(-1, 1)))
     return found
+
+
+def clip_of(rig, name):
+    """Joint positions, roots and landmarks in the world, at 30 Hz."""
+    motion = load_motion(name).resampled(RATE_HZ)
+    positions, root = motion.positions_for(rig), motion.root.astype(np.float64)
+    return positions, root, landmarks_of(rig, positions, root)
+
+
+def in_order(landmarks, names):
+    """Landmarks (T, 21, 3) as a tracker lists them, NaN where we have none."""
+    found = np.full((len(landmarks), len(names), 3), np.nan)
+    aliases = {"footindex": "toe", "bigtoe": "toe", "foot": "toe"}
+    for column, name in enumerate(names):
+        part, side = plain_name(name).split(".")
+        if (ours := f"{aliases.get(part, part)}.{side}") in USED:
+            found[:, column] = landmarks[:, USED.index(ours)]
+    return found
+
+
+def read_all(reader, points, rate_hz=RATE_HZ):
+    """Joint positions and roots of all frames."""
+    read = [reader.read(each, time_s=frame / rate_hz) for frame, each in enumerate(points)]
+    return tuple(np.array(part) for part in zip(*read))
+
+
+def medians(rig, read, truth):
+    return {segment: np.median(angle) for segment, angle in angles_between(landmarks_of(rig, *read), truth).items()}

@@ -1,67 +1,53 @@
-// Landmarks of a person to joint positions, frame by frame: physkin_core.LandmarkReader step by step, with its numbers
-// (`to_json`). X forward, Y left, Z up; vectors are arrays of 3.
+// Landmarks of a person by MediaPipe to joint positions, frame by frame: physkin_core.LandmarkReader step by step, with its
+// numbers (`to_json`). X forward, Y left, Z up; vectors are arrays of 3.
 import { anglesOf, matrix, product } from "./rotations.js";
 
-const [FACE, EARS, SHOULDERS, HIPS, MIDDLE] = [[0, 1, 2, 3, 4], [3, 4], [5, 6], [7, 8], 21]; // rows; middle of the hips
+const [FACE, EARS, SHOULDERS, HIPS, FEET] = [[0, 1, 2, 3, 4], [3, 4], [5, 6], [7, 8], [15, 16, 19, 20]]; // rows
 const TRUNK = [...SHOULDERS, ...HIPS];
-const SAME = [1, 0, 0, 0, 1, 0, 0, 0, 1];
-const AXES = [SAME.slice(0, 3), SAME.slice(3, 6), SAME.slice(6)];
-const [X, Y, Z] = AXES;
+const AXES = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+const [X, Y, Z, SAME] = [...AXES, AXES.flat()];
 
-/** table: of `LandmarkReader.to_json`; joints: of an outfit.
+/** table: of `LandmarkReader("mediapipe").to_json`; joints: of an outfit.
  * status: "seen", "part" or "lost"; lost: what is not seen, such as ["left arm", "head"]. */
 export class LandmarkReader {
   #table;
-  #joints;
-  #balls;
   #state;
 
   constructor(table, joints) {
-    const index = new Map(joints.map(({ name }, joint) => [name, joint]));
-    [this.#table, this.#joints] = [table, joints];
-    const balls = Object.entries(table.balls);
-    this.#balls = balls.map(([bone, ball]) => [bone, ball, ball.joints.map((name) => index.get(name))]);
-    this.reset();
-  }
-
-  /** Starts anew, with another person. */
-  reset() {
-    const value = (row) => this.#table.standing[TRUNK.indexOf(row)] ?? [0, 0, 0];
+    this.#table = { ...table, joints: new Map(joints.map((joint, at) => [joint.name, { ...joint, at }])) };
+    const value = (row) => table.standing[TRUNK.indexOf(row)] ?? [0, 0, 0];
     this.#state = {
-      points: Array.from({ length: MIDDLE + 1 }, (_, row) => ({ value: value(row), speed: [0, 0, 0], at: -Infinity })),
-      bones: Object.fromEntries([...this.#balls, ["root"]].map(([bone]) => [bone, { at: -Infinity, trust: 0 }])),
-      ...{ time: -Infinity, sizes: [], hinges: {}, root: SAME, place: [0, 0, 0.914], floor: NaN },
-      positions: this.#joints.map(({ rest }) => rest),
+      points: table.columns.map((_, row) => ({ value: value(row), speed: [0, 0, 0], at: -Infinity })),
+      bones: Object.fromEntries(["root", ...Object.keys(table.balls)].map((bone) => [bone, { at: -Infinity, trust: 0 }])),
+      ...{ time: -Infinity, sizes: [], forearms: [], leans: [], hinges: {}, root: SAME, height: 0.914 },
+      positions: joints.map(({ rest }) => rest),
     };
-    [this.status, this.lost] = ["lost", ["trunk"]];
   }
 
-  /** points: { x, y, z, visibility } of each landmark, in the tracker's axes; null where nobody is seen. time [s].
-   * Returns joint positions, and the root in glTF's axes as `Outfit.step` takes it. */
+  /** points: { x, y, z, visibility } of each world landmark; null where nobody is seen. time [s], later than before.
+   * Returns joint positions, and the root's height and its rotation, a matrix. */
   read(points, time) {
-    const { count, columns, axes, farthest, least_confidence, straight, recent } = this.#table;
-    if (time < this.#state.time) this.reset();
+    const { columns, axes, least_confidence, straight, recent, soles } = this.#table;
     const passed = Math.min(time - this.#state.time, 10);
     this.#state.time = time;
-    const found = columns.map((column) => {
-      if (points === null || column === count) return null; // not seen
-      const { x, y, z, visibility = 1 } = points[column];
-      const near = Math.max(...[x, y, z].map(Math.abs)) < farthest && norm([x, y, z]) > 0;
-      return near && visibility >= least_confidence ? turned(axes, [x, y, z]) : null;
+    let found = columns.map((column) => {
+      const { x, y, z, visibility } = points?.[column] ?? { visibility: 0 };
+      return visibility >= least_confidence ? turned(axes, [x, y, z]) : null;
     });
     let turns = {};
     [this.status, this.lost] = ["lost", ["trunk"]];
     if (this.#measure(found) && TRUNK.filter((row) => found[row]).length > 1) {
-      const seen = this.#smooth(found, passed);
+      found = found.map((point) => point && times(1 / this.#state.size, point));
+      const seen = this.#smooth(this.#inSpace(found), passed);
       [turns, this.lost] = this.#turns(seen, straight * Math.exp(-passed / recent));
       if (!HIPS.every((row) => found[row])) this.lost.push("hips");
       this.status = this.lost.length > 0 ? "part" : "seen";
-      this.#stand(seen, passed);
+      const heights = soles.filter(([row]) => seen[row]).map(([row, sole]) => sole - this.#state.points[row].value[2]);
+      if (heights.length > 0) this.#state.height = Math.max(...heights);
     }
     this.#follow(turns, passed);
-    const { positions, place, root } = this.#state;
-    const [x, y, z, w] = quaternion(root);
-    return { positions: positions.slice(), root: [place[1], place[2], place[0], y, z, x, w] };
+    const { positions, height, root } = this.#state;
+    return { positions: positions.slice(), height, root };
   }
 
   #measure(found) {
@@ -78,28 +64,46 @@ export class LandmarkReader {
     return this.#state.sizes.length > 0;
   }
 
-  #smooth(found, passed) {
+  #inSpace(found) {
+    const { clearly, limbs, sizes, stands } = this.#table;
+    const state = this.#state;
+    for (const [, elbow, wrist] of limbs.filter(({ name }) => name.includes("arm")).map(({ rows }) => rows)) {
+      if (!found[elbow] || !found[wrist]) continue;
+      const [ahead, left, up] = minus(found[wrist], found[elbow]);
+      state.forearms = [...state.forearms, norm([ahead, left, up])].slice(-sizes);
+      const length = sorted(state.forearms)[Math.floor(0.75 * state.forearms.length)];
+      const deep = Math.sqrt(Math.max(length ** 2 - left ** 2 - up ** 2, ahead ** 2));
+      if (Math.abs(ahead) > clearly * length) found[wrist][0] += Math.sign(ahead) * deep - ahead;
+    }
+    if ([...TRUNK, ...FEET].every((row) => found[row])) {
+      const [ahead, , up] = minus(...[SHOULDERS, FEET].map((rows) => mean(rows.map((row) => found[row]))));
+      if (up > stands) state.leans = [...state.leans, Math.atan2(ahead, up)].slice(-sizes);
+    }
+    const level = axisTurn(Y, -median(state.leans) || 0);
+    return found.map((point) => point && turned(level, point));
+  }
+
+  #smooth(scaled, passed) {
     const { speed_hz, slowest_hz, hz_a_speed, carry, recent, standing, up, ease } = this.#table;
-    const { points, size, time } = this.#state;
+    const { points, time } = this.#state;
     const at = (row) => points[row].value;
-    const scaled = found.map((point) => point && times(1 / size, point));
     const off = (row) => minus(scaled[row], at(row));
     const both = HIPS.every((row) => scaled[row]);
     const hips = both ? mean(HIPS.map((row) => scaled[row])) : mean(TRUNK.filter((row) => scaled[row]).map(off));
-    [...scaled.map((point) => point && minus(point, hips)), hips].forEach((here, row) => {
-      const point = points[row];
-      if (here === null) {
+    points.forEach((point, row) => {
+      if (!scaled[row]) {
         point.speed = times(Math.exp(-passed / carry), point.speed);
         point.value = plus(point.value, times(passed, point.speed));
         return;
       }
+      const here = minus(scaled[row], hips);
       const since = Math.max(time - point.at, 1e-6);
       const moved = minus(here, point.value);
       point.speed = between(point.speed, times(1 / since, moved), letThrough(speed_hz, since));
       point.value = between(point.value, here, letThrough(slowest_hz + hz_a_speed * norm(point.speed), since));
       point.at = time;
     });
-    const counts = points.slice(0, MIDDLE).map((point) => time - point.at < recent);
+    const counts = points.map((point) => time - point.at < recent);
     if (!HIPS.some((row) => counts[row])) {
       const [left, right] = SHOULDERS.map(at);
       const level = turnOf([left[0] - right[0], left[1] - right[1], 0], Z, Y, Z);
@@ -108,13 +112,12 @@ export class LandmarkReader {
         points[row].value = between(at(row), below, 1 - Math.exp(-passed / ease));
       });
     }
-    TRUNK.forEach((row) => (counts[row] = true));
-    return counts;
+    return counts.map((known, row) => known || TRUNK.includes(row));
   }
 
   // Rotations of bones from their parents, of "root" from the world; which parts are lost.
   #turns(seen, memory) {
-    const { chains, limbs, columns, count, up, ahead } = this.#table;
+    const { chains, limbs, up, ahead } = this.#table;
     const at = this.#state.points.map(({ value }) => value);
     const middle = (rows) => mean(rows.map((row) => at[row]));
     const above = minus(middle(SHOULDERS), middle(HIPS));
@@ -126,14 +129,13 @@ export class LandmarkReader {
     if (FACE.every((row) => seen[row])) {
       const nose = minus(middle(FACE.slice(0, 3)), middle(EARS));
       share(chains[1], chest, turnOf(minus(at[EARS[0]], at[EARS[1]]), nose, Y, ahead));
-    } else if (FACE.every((row) => columns[row] < count)) lost.push("head");
+    } else lost.push("head");
     for (const limb of limbs) this.#bend(limb, at, seen, limb.name.includes("arm") ? chest : root, memory, turns);
     return [turns, lost];
   }
 
   #bend(limb, at, seen, carrier, memory, turns) {
-    const { natural, heel_to_toe, ankle_to_toe } = this.#table;
-    const { hinges } = this.#state;
+    const [{ natural }, { hinges }] = [this.#table, this.#state];
     const [[a, b, c, heel, toe], back] = [limb.rows, inverse(carrier)];
     const [upper, lower] = [unit(minus(at[b], at[a])), unit(minus(at[c], at[b]))];
     if (!seen[a] || !seen[b] || norm(upper) === 0) return;
@@ -152,26 +154,13 @@ export class LandmarkReader {
     if (bend === null) return;
     turns[limb.bones[1]] = bend;
     if (toe === undefined || !seen[toe]) return;
-    const [start, sole] = seen[heel] ? [heel, heel_to_toe] : [c, ankle_to_toe];
+    const [start, own] = seen[heel] ? [heel, limb.heel_to_toe] : [c, limb.ankle_to_toe];
     const shin = product(above, bend);
-    const own = sole.map((each, axis) => each * limb.foot[axis]);
     turns[limb.bones[2]] = product(inverse(shin), turnOf(minus(at[toe], at[start]), turned(shin, Y), own, Y));
   }
 
-  #stand(seen, passed) {
-    const { soles, sink } = this.#table;
-    const { points, place, floor } = this.#state;
-    const hips = points[MIDDLE].value;
-    const placed = norm(hips) > 0.1 ? 1 : 0;
-    const below = soles.filter(([row]) => seen[row]).map(([row, sole]) => points[row].value[2] - sole);
-    const lowest = hips[2] + (below.length > 0 ? Math.min(...below) : -place[2]);
-    const rise = lowest - floor;
-    this.#state.floor = placed && rise > 0 ? lowest - rise * Math.exp(-passed / sink) : lowest;
-    this.#state.place = [placed * hips[0], placed * hips[1], hips[2] - this.#state.floor];
-  }
-
   #follow(turns, passed) {
-    const { held, ease, trust } = this.#table;
+    const { held, ease, trust, balls, joints } = this.#table;
     const { bones, positions, root, time } = this.#state;
     const first = Object.values(bones).every(({ at }) => at === -Infinity);
     const shareOf = (bone) => {
@@ -182,15 +171,14 @@ export class LandmarkReader {
     };
     const wanted = turns.root ?? product(smallestTurn(turned(root, Z), Z), root);
     this.#state.root = product(root, partOf(product(inverse(root), wanted), shareOf("root")));
-    for (const [bone, ball, joints] of this.#balls) {
+    for (const [bone, ball] of Object.entries(balls)) {
       const share = shareOf(bone);
       anglesOf(ball, turns[bone] ?? SAME).forEach((angle, slot) => {
-        const joint = joints[slot];
-        if (joint === undefined) return;
-        const { lower, rest, upper } = this.#joints[joint];
+        if (!ball.joints[slot]) return;
+        const { at, lower, rest, upper } = joints.get(ball.joints[slot]);
         const rounds = Math.floor((rest + angle - (lower + upper) / 2) / (2 * Math.PI) + 0.5);
         const within = Math.min(Math.max(rest + angle - 2 * Math.PI * rounds, lower), upper);
-        positions[joint] += share * (within - positions[joint]);
+        positions[at] += share * (within - positions[at]);
       });
     }
   }
@@ -210,45 +198,27 @@ const inverse = (m) => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
 const axisTurn = (axis, angle) => matrix(...times(Math.sin(angle / 2), axis), Math.cos(angle / 2));
 const letThrough = (cutoff, passed) => 1 / (1 + 1 / (2 * Math.PI * cutoff * passed));
 
+const sorted = (values) => [...values].sort((a, b) => a - b);
+
 function median(values) {
-  const [sorted, half] = [[...values].sort((a, b) => a - b), values.length / 2];
-  return (sorted[Math.ceil(half) - 1] + sorted[Math.floor(half)]) / 2;
+  const [ordered, half] = [sorted(values), values.length / 2];
+  return (ordered[Math.ceil(half) - 1] + ordered[Math.floor(half)]) / 2;
 }
 
-// The rotation that takes two directions at rest to those that are seen, the first exactly.
-function turnOf(first, second, firstRest, secondRest) {
-  const frames = [[first, second], [firstRest, secondRest]].map(([one, two]) => {
-    const along = norm(one) > 0 ? unit(one) : X;
-    const least = AXES.reduce((a, b) => (Math.abs(dot(along, b)) < Math.abs(dot(along, a)) ? b : a));
-    const across = cross(along, two);
-    const square = unit(dot(across, across) > 1e-18 ? across : cross(along, least));
-    return [...along, ...cross(square, along), ...square];
-  });
-  return product(inverse(frames[0]), frames[1]);
-}
+// The rotation that takes two directions at rest to those that are seen, the first exactly; that of least angle.
+const turnOf = (first, second, ...atRest) => product(inverse(frame(first, second)), frame(...atRest));
+const smallestTurn = (start, end) => turnOf(end, cross(start, end), start, cross(start, end));
 
-// The rotation of least angle between two directions.
-function smallestTurn(start, end) {
-  const [a, b] = [unit(start), unit(end)];
-  if (dot(a, b) < -1 + 1e-9) return turnOf(b, Z, a, Z);
-  const half = unit(plus(a, b));
-  return matrix(...cross(a, half), dot(a, half));
+function frame(one, two) {
+  const along = norm(one) > 0 ? unit(one) : X;
+  const least = AXES.reduce((a, b) => (Math.abs(dot(along, b)) < Math.abs(dot(along, a)) ? b : a));
+  const across = cross(along, two);
+  const square = unit(dot(across, across) > 1e-18 ? across : cross(along, least));
+  return [...along, ...cross(square, along), ...square];
 }
 
 // A share of a rotation; none of half a turn, whose axis is not known.
 function partOf(m, share) {
   const axis = [m[7] - m[5], m[2] - m[6], m[3] - m[1]];
   return axisTurn(unit(axis), share * Math.atan2(norm(axis), m[0] + m[4] + m[8] - 1));
-}
-
-// x, y, z, w. Of the products of all four with each, those with the largest.
-function quaternion(m) {
-  const [x, y, z, xy, xz, yz] = [m[7] - m[5], m[2] - m[6], m[3] - m[1], m[1] + m[3], m[2] + m[6], m[5] + m[7]];
-  const rows = [
-    [1 + m[0] - m[4] - m[8], xy, xz, x],
-    [xy, 1 - m[0] + m[4] - m[8], yz, y],
-    [xz, yz, 1 - m[0] - m[4] + m[8], z],
-    [x, y, z, 1 + m[0] + m[4] + m[8]],
-  ].sort((a, b) => Math.hypot(...b) - Math.hypot(...a));
-  return rows[0].map((each) => each / Math.hypot(...rows[0]));
 }

@@ -14,11 +14,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.export.gltf_dressed import dressed_glb
-from physkin_core.formats.gltf_builder import FROM_ROOT_FRAME
 from physkin_core.mesh.look import Look
 from physkin_core.motion.landmarks import LandmarkReader
 from physkin_core.motion.motion import Motion
@@ -64,18 +61,11 @@ def write_web_page(
 
 def _plain(motion: Motion, outfit: Outfit) -> dict:
     """positions: (T, d) in the outfit's order of joints; root: (T, 7) and wind: (3,) in glTF's axes."""
-    root = np.concatenate(
-        [
-            motion.root_position @ FROM_ROOT_FRAME.T,
-            motion.root_orientation[:, :3] @ FROM_ROOT_FRAME.T,
-            motion.root_orientation[:, 3:],
-        ],
-        axis=1,
-    )
+    root = motion.root[:, [1, 2, 0, 4, 5, 3, 6]]  # x left, y up, z forward
     return {
         "name": motion.name,
         "rate": motion.rate_hz,
         "positions": motion.positions_for(outfit.rig).astype(float).round(DIGITS).tolist(),
         "root": root.astype(float).round(DIGITS).tolist(),
-        "wind": (FROM_ROOT_FRAME @ outfit.wind).round(DIGITS).tolist(),
+        "wind": [round(float(outfit.wind[axis]), DIGITS) for axis in (1, 2, 0)],
     }

@@ -115,7 +115,7 @@ def load_landmarks(
         if len(seen) and 0 < seen[:, :2].min() < seen[:, :2].max() < 1 and seen[:, 2].min() < 0:
             log.warning("%s: x and y from 0 to 1 are those of a picture: take world landmarks, or undo its shape", path)
         try:
-            reader = LandmarkReader(names, axes=axes, renamed=renamed)
+            reader = LandmarkReader(names, axes=axes or LANDMARK_SETS.get(guessed, {}).get("axes"), renamed=renamed)
             stands, mirrored = reader.facing(points)
             way = np.abs(stands).argmax()
             if axes is None and guessed and (way == 0 or stands[way] < 0):  # who is on the side may lie

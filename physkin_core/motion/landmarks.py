@@ -28,11 +28,13 @@ from physkin_core.rig.vrm_bones import ball_entry, rig_ball_joint
 __all__ = ["LANDMARK_SETS", "LandmarkReader"]
 
 LANDMARK_SETS: dict[str, dict[str, str]] = json.loads(Path(__file__).with_name("landmark_sets.json").read_text())
-"""Trackers' landmarks in their order; which of their axes point forward, left and up of who looks at the camera."""
+"""Trackers' landmarks in their order; which of their axes point forward, left and up of who looks at the camera; who
+guesses depth, from one picture."""
 PARTS = "eye ear shoulder hip elbow wrist knee ankle heel toe".split()
 USED = ["nose.", *(f"{part}.{side}" for part in PARTS for side in "LR")]
 SYNONYMS = {"footindex": "toe", "bigtoe": "toe", "foot": "toe"}
 EARS, SHOULDERS, HIPS, TRUNK, FACE = slice(3, 5), slice(5, 7), slice(7, 9), slice(5, 9), slice(5)
+FEET = [15, 16, 19, 20]  # ankles and toes
 X, Y, Z = np.eye(3)
 # On the rig's body [m]:
 STANDING = np.array([[0.021, 0.186, 0.466], [0.021, -0.186, 0.466], [0, 0.113, 0], [0, -0.113, 0]])  # trunk
@@ -43,7 +45,9 @@ SPINE, NECK = ("spine05", "spine03", "spine02"), ("neck01", "neck03", "head")  #
 
 FARTHEST = 1e7  # in the tracker's unit
 PLAUSIBLE = 0.4, 2.0  # length of a limb's half, as a share of the rig's at this size
-SIZES = 100  # frames over whose median the size is taken
+SIZES = 100  # frames of which the person's size, the forearms' length and the camera's tilt are taken
+CLEARLY = 0.2  # share of a forearm's length by which it is nearer or farther at its end, for the sign to be believed
+STANDS = 1.1  # [m] at least, shoulders above the feet; who sits has 1.07, however the camera is tilted
 SLOWEST_HZ, HZ_A_SPEED, SPEED_HZ = 0.7, 5.0, 1.0
 """The filter's cutoff at rest, its rise [Hz / (m/s)], and the cutoff of the speed."""
 CARRY, RECENT, HELD, EASE, TRUST, SINK = 0.1, 0.25, 1.0, 1.5, 0.3, 2.0
@@ -51,8 +55,8 @@ CARRY, RECENT, HELD, EASE, TRUST, SINK = 0.1, 0.25, 1.0, 1.5, 0.3, 2.0
 which it takes up again; in which the floor rises to a foot."""
 STRAIGHT, NATURAL = 0.3, 0.03
 """Sines of the bend up to which a limb bends about the axis of before, and about the one that needs no twist."""
-NAMES = "farthest plausible sizes slowest_hz hz_a_speed speed_hz carry recent held ease trust sink straight natural"
-NUMBERS = (*NAMES.split(), "standing", "up", "ahead", "heel_to_toe", "ankle_to_toe")
+NUMBERS = """plausible sizes clearly stands slowest_hz hz_a_speed speed_hz carry recent held ease trust straight natural
+standing up ahead""".split()
 
 
 class LandmarkReader:
@@ -66,7 +70,8 @@ class LandmarkReader:
             `azure_kinect`), or a list. `left_foot_index`, `LBigToe` and `FootLeft` are one. Used are the nose, and left
             and right eye, ear, shoulder, elbow, wrist, hip, knee, ankle, heel and toe.
         axes: which of the tracker's axes point forward, left and up of a person who looks at the camera; a camera's
-            are "-z x -y". None: the tracker's own, "x y z" for a list. Any unit will do.
+            are "-z x -y". None: the tracker's own, "x y z" for a list. Any unit will do. MediaPipe's depth is then
+            mended: its landmarks come to stand upright however the camera is tilted.
         renamed: names in `names` -> names that are understood.
         least_confidence: below it a landmark is lost, as it is where it is not finite, or exactly 0, 0, 0.
 
@@ -92,12 +97,14 @@ class LandmarkReader:
         renamed: Mapping[str, str] | None = None,
         least_confidence: float = 0.3,
     ) -> None:
-        default_axes = "x y z"
+        tracker = {"axes": "x y z"}
         if isinstance(names, str):
             if names not in LANDMARK_SETS:
                 raise MotionError(f"no tracker {shown(names)}; there are {', '.join(LANDMARK_SETS)}; or give a list")
-            default_axes, names = LANDMARK_SETS[names]["axes"], LANDMARK_SETS[names]["names"].split()
-        self._axes, self._count, self._least = _axes(axes or default_axes), len(names), least_confidence
+            tracker = LANDMARK_SETS[names]
+            names = tracker["names"].split()
+        self._axes, self._count, self._least = _axes(axes or tracker["axes"]), len(names), least_confidence
+        self._guessed = axes is None and "depth" in tracker
         columns: dict[str, int] = {}
         for column, name in enumerate(names):
             part, _, side = plain_name((renamed or {}).get(name, name)).partition(".")
@@ -111,9 +118,8 @@ class LandmarkReader:
         for limb in self._limbs:
             joints |= limb.joints
         self._bones = (*joints, "root")
-        balls = [rig_ball_joint(self._rig, names, half=half) for names, half in joints.values()]
-        self._solver = BallRotations(balls, self._rig.joint_indices)
-        self._balls = dict(zip(joints, balls))
+        self._balls = {bone: rig_ball_joint(self._rig, names, half=half) for bone, (names, half) in joints.items()}
+        self._solver = BallRotations([*self._balls.values()], self._rig.joint_indices)
         self.reset()
 
     def reset(self) -> None:
@@ -121,6 +127,7 @@ class LandmarkReader:
         count, bones = len(USED) + 1, len(self._bones)
         self._value, self._speed, self._at = np.zeros((count, 3)), np.zeros((count, 3)), np.full((count, 1), -np.inf)
         self._value[TRUNK], self._time, self._sizes = STANDING, -np.inf, deque[float](maxlen=SIZES)
+        self._forearms, self._leans = deque[float](maxlen=SIZES), deque[float](maxlen=SIZES)
         self._seen_at, self._trust, self._hinges = np.full(bones, -np.inf), np.zeros(bones), dict[str, np.ndarray]()
         self._positions, self._root = self._rig.rest.copy(), np.eye(3)
         self._place, self._floor = np.array([0.0, 0.0, 0.914]), np.nan
@@ -163,7 +170,8 @@ class LandmarkReader:
         turns: dict[str, np.ndarray] = {}
         self.status, self.lost = "lost", ("trunk",)
         if self._measured(found, seen) and seen[TRUNK].sum() > 1:
-            counts = self._smooth(found, seen, passed)
+            found /= self._size
+            counts = self._smooth(self._in_space(found, seen) if self._guessed else found, seen, passed)
             turns, lost = self._turns(counts, STRAIGHT * float(np.exp(-passed / RECENT)))
             self.lost = (*lost, *(["hips"] if not seen[HIPS].all() else []))
             self.status = "part" if self.lost else "seen"
@@ -182,19 +190,13 @@ class LandmarkReader:
         return stands, bool((ahead < 0).sum() > 2 * (ahead > 0).sum())
 
     def to_json(self) -> str:
-        """This reader's numbers, for one in another language: native/web/landmarks.js."""
+        """MediaPipe's reader in numbers, for one in another language: native/web/landmarks.js."""
         table = {name: globals()[name.upper()] for name in NUMBERS}
         parts = [name.partition(".")[0] for name in USED]
-        table |= {
-            "count": self._count,
-            "axes": self._axes.ravel(),
-            "columns": self._columns,
-            "least_confidence": self._least,
-            "soles": [[row, SOLE[part]] for row, part in enumerate(parts) if part in SOLE],
-            "chains": [SPINE, NECK],
-            "limbs": [limb.numbers() for limb in self._limbs],
-            "balls": {bone: ball_entry(ball, np.eye(3)) for bone, ball in self._balls.items()},
-        }
+        table |= {"axes": self._axes.ravel(), "columns": self._columns, "least_confidence": self._least}
+        table["soles"] = [[row, SOLE[part]] for row, part in enumerate(parts) if part in SOLE]
+        table |= {"chains": [SPINE, NECK], "limbs": [limb.numbers() for limb in self._limbs]}
+        table["balls"] = {bone: ball_entry(ball, np.eye(3)) for bone, ball in self._balls.items()}
         return json.dumps(table, default=lambda array: array.tolist(), separators=(",", ":"))
 
     def _measured(self, found: np.ndarray, seen: np.ndarray) -> bool:
@@ -210,9 +212,26 @@ class LandmarkReader:
             seen[end] &= PLAUSIBLE[0] < size / self._size < PLAUSIBLE[1]
         return bool(self._sizes)
 
+    def _in_space(self, found: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Landmarks whose depth is guessed from one picture: what a forearm lacks in length is depth, where it clearly
+        points towards the camera or from it. Who stands has the shoulders above the feet, in the median of frames,
+        however the camera is tilted."""
+        for _, elbow, wrist in (limb.rows for limb in self._limbs if "arm" in limb.name):
+            if seen[elbow] and seen[wrist]:
+                ahead, left, up = found[wrist] - found[elbow]
+                self._forearms.append(float(np.linalg.norm([ahead, left, up])))
+                length = sorted(self._forearms)[3 * len(self._forearms) // 4]  # depth is rather lost than added
+                deep = np.sqrt(max(length**2 - left**2 - up**2, ahead**2))
+                if abs(ahead) > CLEARLY * length:
+                    found[wrist, 0] += np.copysign(deep, ahead) - ahead
+        up, hips = found[SHOULDERS].mean(axis=0) - found[FEET].mean(axis=0), found[HIPS].mean(axis=0)
+        if up[2] > STANDS and np.linalg.norm(hips) < 0.1 and seen[TRUNK].all() and seen[FEET].all():
+            self._leans.append(float(np.arctan2(up[0], up[2])))
+        return found @ axis_rotation(Y, np.median(self._leans or [0.0], axis=0))
+
     def _smooth(self, found: np.ndarray, seen: np.ndarray, passed: float) -> np.ndarray:
-        """Smooth landmarks in the rig's size, from the middle of the hips, and that itself. Which of them count."""
-        found, trunk = found / self._size, np.flatnonzero(seen[TRUNK]) + TRUNK.start
+        """Smooth landmarks, from the middle of the hips, and that itself. Which of them count."""
+        trunk = np.flatnonzero(seen[TRUNK]) + TRUNK.start
         hips = found[HIPS].mean(axis=0) if seen[HIPS].all() else (found - self._value[:-1])[trunk].mean(axis=0)
         here, now = np.array([*(found - hips), hips]), np.append(seen, True)[:, None]
         since = np.maximum(self._time - self._at, 1e-6)
@@ -289,13 +308,12 @@ class _Limb:
     def __init__(self, rig: Rig, limb: str, side: str) -> None:
         parts, bones, ball, half, hinge = LIMBS[limb]
         letter = side[0].upper()
-        self.name, self._foot = f"{side} {limb}", np.array([1, -1 if side == "left" else 1, 1])
+        self.name, mirrored = f"{side} {limb}", np.array([1, -1 if side == "left" else 1, 1])
+        self._heel_to_toe, self._ankle_to_toe = HEEL_TO_TOE * mirrored, ANKLE_TO_TOE * mirrored
         self.bones = upper, middle, end = [f"{bone}.{letter}" for bone in bones]
         self.rows = [USED.index(f"{part}.{letter}") for part in (*parts, *(("heel", "toe") * (limb == "leg")))]
-        self.joints = {
-            upper: ([f"{upper}_{axis}" for axis in ball], half.format(letter)),
-            middle: ([f"{middle}_{hinge}"], ""),
-        }
+        twist = half.format(letter)
+        self.joints = {upper: ([f"{upper}_{axis}" for axis in ball], twist), middle: ([f"{middle}_{hinge}"], "")}
         if limb == "leg":
             self.joints[end] = ([f"{end}_y", f"{end}_z"], "")
         joint = rig.joint_indices[f"{middle}_{hinge}"]
@@ -335,9 +353,9 @@ class _Limb:
         if bend is not None:
             turns[self.bones[1]] = bend
             if foot and seen[foot[1]]:
-                start, sole = (foot[0], HEEL_TO_TOE) if seen[foot[0]] else (c, ANKLE_TO_TOE)
+                start, sole = (foot[0], self._heel_to_toe) if seen[foot[0]] else (c, self._ankle_to_toe)
                 shin = above @ bend
-                turns[self.bones[2]] = shin.T @ _turn(at[foot[1]] - at[start], shin @ Y, sole * self._foot, Y)
+                turns[self.bones[2]] = shin.T @ _turn(at[foot[1]] - at[start], shin @ Y, sole, Y)
         return turns
 
 

@@ -1,10 +1,12 @@
 // The visitor as the page's motion: landmarks in the camera's picture, found in this tab, as joint positions.
 import * as THREE from "three";
 import { LandmarkReader } from "./landmarks.js";
+import { poseBetween } from "./stage.js";
 
 const PICTURE = { width: 480, height: 360, facingMode: "user" };
 const SAID = { seen: "You are seen.", lost: "Nobody is seen: step into the picture." };
-const COUNTED = 30; // landmark frames whose time is said
+const OTHERS = " Somebody else is there, too: one of you is followed.";
+const IN_GLTF = [4, 5, 3, 7, 8, 6, 1, 2, 0]; // numbers of a rotation
 const LONGEST = 200; // [ms] in which a pose moves on to the next
 
 /** An open camera, whose poses move on evenly between landmarks. */
@@ -15,9 +17,10 @@ export class Camera {
   #say;
   #worker = new Worker(new URL("landmark_worker.js", import.meta.url));
   #poses = null; // what was shown when the last landmarks came, and what they say
+  #shown = 0; // [ms] when the picture was that is looked at
   #came = 0;
   #between = 1; // [ms] from landmarks to landmarks
-  times = []; // [ms] that landmarks took
+  ms = 0; // that landmarks take, of late
 
   /** video: shows the picture. scale: of the avatar's legs to the default's. say: is told what is seen. Throws where
    * there is no camera, or the visitor does not allow it. */
@@ -41,12 +44,7 @@ export class Camera {
   /** Joint positions and root at this moment; null until the first landmarks come. */
   now() {
     if (this.#poses === null) return null;
-    const share = Math.min((performance.now() - this.#came) / this.#between, 1);
-    const [from, to] = this.#poses;
-    const mix = (values, next) => values.map((value, at) => value + share * (next[at] - value));
-    const [turn, last] = [from, to].map(({ root }) => new THREE.Quaternion(...root.slice(3)));
-    const root = [...mix(from.root.slice(0, 3), to.root), ...turn.slerp(last, share).toArray()];
-    return { positions: mix(from.positions, to.positions), root };
+    return poseBetween(...this.#poses, Math.min((performance.now() - this.#came) / this.#between, 1));
   }
 
   close() {
@@ -55,22 +53,25 @@ export class Camera {
   }
 
   #look() {
-    this.#video.requestVideoFrameCallback(async () => {
+    this.#video.requestVideoFrameCallback(async (shown) => {
+      this.#shown = shown;
       const image = await createImageBitmap(this.#video);
       this.#worker.postMessage(image, [image]);
     });
   }
 
-  #take({ landmarks, ms }) {
+  #take({ landmarks, others, ms }) {
     const now = performance.now();
-    const pose = this.#reader.read(landmarks, now / 1000);
-    pose.root = pose.root.map((value, at) => (at < 3 ? this.#scale * value : value));
+    const { positions, height, root } = this.#reader.read(landmarks, this.#shown / 1000);
+    const turn = new THREE.Matrix4().setFromMatrix3(new THREE.Matrix3(...IN_GLTF.map((at) => root[at])));
+    const quaternion = new THREE.Quaternion().setFromRotationMatrix(turn);
+    const pose = { positions, root: [0, this.#scale * height, 0, ...quaternion.toArray()] };
     this.#poses = [this.now() ?? pose, pose];
     [this.#between, this.#came] = [Math.min(now - this.#came, LONGEST), now];
-    this.times = [...this.times, ms].slice(-COUNTED);
+    this.ms = this.ms ? 0.9 * this.ms + 0.1 * ms : ms;
     const { status, lost } = this.#reader;
-    const took = this.times.reduce((a, b) => a + b) / this.times.length;
-    this.#say(`${SAID[status] ?? `Not seen: ${lost.join(", ")}.`} Landmarks: ${took.toFixed(0)} ms.`);
+    const said = SAID[status] ?? `Not seen: ${lost.join(", ")}.`;
+    this.#say(`${said}${others ? OTHERS : ""} Landmarks: ${this.ms.toFixed(0)} ms.`);
     this.#look();
   }
 }

@@ -1,10 +1,9 @@
 // An avatar that moves as motion.json says, its clothes computed here; or, with ?bridge=ws://HOST:9090, as a running ROS
 // node poses both; or as who sits before the camera, unless with ?camera=no. The scene is in glTF's axes.
-import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { showBridge } from "./live.js";
 import { loadOutfit } from "./physkin.js";
-import { Figure, Stage } from "./stage.js";
+import { Figure, poseBetween, Stage } from "./stage.js";
 
 const SHOWN_TIMES = 30; // frames that the time shown is the median of
 
@@ -14,11 +13,10 @@ const bridge = asked.get("bridge");
 
 async function start() {
   const began = performance.now();
-  const motionFile = fetch("motion.json").then((response) => response.json());
   const [outfit, model, motion] = await Promise.all([
     loadOutfit("outfit.physkin.gz"),
     new GLTFLoader().loadAsync("dressed.glb"),
-    motionFile,
+    fetch("motion.json").then((response) => response.json()),
   ]);
   const loaded = performance.now() - began;
   const said = `loaded in ${(loaded / 1000).toFixed(2)} s`;
@@ -91,15 +89,9 @@ class Player {
     this.#time %= length;
     const first = Math.min(Math.floor(this.#time * rate), positions.length - 1);
     const next = Math.min(first + 1, positions.length - 1);
-    const share = this.#time * rate - first;
-    const between = (values) => values[first].map((value, at) => value + share * (values[next][at] - value));
-    const [x, y, z] = between(root);
-    const turn = new THREE.Quaternion(...root[first].slice(3)).slerp(new THREE.Quaternion(...root[next].slice(3)), share);
-    return {
-      positions: between(positions).map((position, joint) => position + this.added[joint]),
-      root: [x, y, z, ...turn.toArray()],
-      again,
-    };
+    const ends = [first, next].map((frame) => ({ positions: positions[frame], root: root[frame] }));
+    const pose = poseBetween(...ends, this.#time * rate - first);
+    return { ...pose, positions: pose.positions.map((position, joint) => position + this.added[joint]), again };
   }
 }
 

@@ -49,6 +49,14 @@ export class Stage {
   }
 }
 
+/** A share of the way from a pose to the next: joint positions and roots. */
+export function poseBetween(from, to, share) {
+  const mix = (values, next) => values.map((value, at) => value + share * (next[at] - value));
+  const [turn, last] = [from, to].map(({ root }) => new THREE.Quaternion(...root.slice(3)));
+  const root = [...mix(from.root.slice(0, 3), to.root), ...turn.slerp(last, share).toArray()];
+  return { positions: mix(from.positions, to.positions), root };
+}
+
 /** The avatar on its bones, and meshes that lie on the garments. */
 export class Figure {
   model;

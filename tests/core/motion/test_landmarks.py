@@ -6,52 +6,32 @@ import os
 
 import numpy as np
 import pytest
-from posed_landmarks import CAMERA, SEGMENTS, angles_between, landmarks_of
+from posed_landmarks import (
+    CAMERA,
+    NAMES,
+    RATE_HZ,
+    SEGMENTS,
+    angles_between,
+    clip_of,
+    in_order,
+    landmarks_of,
+    medians,
+    read_all,
+)
 
 import physkin_core as physkin
 from physkin_core import cli
 from physkin_core.motion.everyday_poses import everyday_poses
 from physkin_core.motion.landmarks import LANDMARK_SETS, USED
 from physkin_core.motion.motion import MotionError, upright_orientation
-from physkin_core.rig.joint_names import plain_name
 
-RATE_HZ = 30.0
 NOISE = 0.02  # [m]
-NAMES = LANDMARK_SETS["mediapipe"]["names"].split()
 WORLD = np.array([0.3, -0.2, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
 def rig():
     return physkin.load_body_model().rig
-
-
-def clip_of(rig, name):
-    """Joint positions, roots and landmarks in the world, at 30 Hz."""
-    motion = physkin.load_motion(name).resampled(RATE_HZ)
-    positions, root = motion.positions_for(rig), motion.root.astype(np.float64)
-    return positions, root, landmarks_of(rig, positions, root)
-
-
-def in_order(landmarks, names):
-    """Landmarks (T, 21, 3) as a tracker lists them, NaN where we have none."""
-    found = np.full((len(landmarks), len(names), 3), np.nan)
-    aliases = {"footindex": "toe", "bigtoe": "toe", "foot": "toe"}
-    for column, name in enumerate(names):
-        part, side = plain_name(name).split(".")
-        if (ours := f"{aliases.get(part, part)}.{side}") in USED:
-            found[:, column] = landmarks[:, USED.index(ours)]
-    return found
-
-
-def read_all(reader, points, rate_hz=RATE_HZ):
-    """Joint positions and roots of all frames."""
-    read = [reader.read(each, time_s=frame / rate_hz) for frame, each in enumerate(points)]
-    return tuple(np.array(part) for part in zip(*read))
-
-
-def medians(rig, read, truth):
-    return {segment: np.median(angle) for segment, angle in angles_between(landmarks_of(rig, *read), truth).items()}
 
 
 def everyday(rig):
