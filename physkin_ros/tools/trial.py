@@ -16,6 +16,7 @@ import time
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -40,7 +41,7 @@ from physkin_ros.messages.topics import DIAGNOSTICS
 from physkin_ros.middleware.shared_memory import remove_shared_memory, shared_memory_of
 from physkin_ros.middleware.spinning import spin_until, wait_for_subscribers
 
-__all__ = ["NodeProcess", "Records", "TrialError", "node_parameters", "play_to_node"]
+__all__ = ["NodeProcess", "Records", "TrialError", "node_parameters", "play_to_node", "processor_time"]
 
 SECOND = 1_000_000_000
 ANSWER_SECONDS, PLAY_SECONDS, STOP_SECONDS = 100.0, 100.0, 5.0
@@ -63,7 +64,7 @@ class Records:
     counts, delays: (T, K, G) clouds with the stamp of each, and how late the first of them came [ms], NaN without one.
     strangers: clouds of other stamps. not_finite: clouds with such values, looked for where clouds are kept. kept: by
     frame, clouds (n, 6) of all garments of the first avatar. reports: the node's diagnostics, values by name. measured:
-    what the player measured, after the warm-up and at the end.
+    what the player measured, at the beginning and at the end.
     """
 
     counts: np.ndarray
@@ -118,6 +119,16 @@ class NodeProcess:
         """Raise TrialError once it has ended."""
         if self._process.poll() is not None:
             raise TrialError(f"the node ended with status {self._process.returncode}:\n{self.log()}")
+
+
+def processor_time(pid: int) -> tuple[float, float]:
+    """Processor time [s] of a process's first thread and of all its living threads; zeros where no /proc tells it."""
+    total = 0.0
+    for task in Path("/proc").glob(f"{pid}/task/*"):
+        with suppress(FileNotFoundError):  # the thread has ended meanwhile
+            total += int((task / "schedstat").read_text().split()[0]) / 1e9
+    first = Path(f"/proc/{pid}/task/{pid}/schedstat")
+    return int(first.read_text().split()[0]) / 1e9 if first.exists() else 0.0, total
 
 
 class Listener(Node):
@@ -242,14 +253,13 @@ def play(
     avatars: int,
     *,
     gravity: bool = False,
-    warm_up: int = 0,
     measure: Callable[[], object] | None = None,
 ) -> tuple[np.ndarray, list]:
     """Publish a motion on `a0/joint_states` and so on at its rate, the avatars' joint states evenly spread over each
     period; a process's own.
 
-    gravity: send its direction on `a0/gravity` before each. measure: called after the first `warm_up` joint states, and
-    when everything has arrived. Returns stamps (T, K) [ns], taken right before sending, and what was measured. Raises
+    gravity: send its direction on `a0/gravity` before each. measure: called before the first joint state, and when
+    everything has arrived. Returns stamps (T, K) [ns], taken right before sending, and what was measured. Raises
     TimeoutError when nobody listens.
     """
     rclpy.init(args=[])
@@ -257,11 +267,10 @@ def play(
     publishers = [node.create_publisher(JointState, f"a{k}/joint_states", quality) for k in range(avatars)]
     downs = [node.create_publisher(Vector3Stamped, f"a{k}/gravity", quality) for k in range(avatars * gravity)]
     wait_for_subscribers(*publishers, *downs)
-    stamps, measured = np.empty((motion.frame_count, avatars), dtype=np.int64), []
+    stamps = np.empty((motion.frame_count, avatars), dtype=np.int64)
+    measured = [] if measure is None else [measure()]
     message, start = JointState(name=list(motion.joint_names)), time.monotonic()
     for tick, (positions, (x, y, z)) in enumerate(zip(motion.positions.astype(np.float64), motion.gravity.tolist())):
-        if measure is not None and tick == warm_up:
-            measured.append(measure())
         message.position = array("d", positions.tolist())
         state = bytearray(serialize_message(message))
         down = bytearray(serialize_message(Vector3Stamped(vector=Vector3(x=x, y=y, z=z))))

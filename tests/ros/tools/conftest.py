@@ -18,7 +18,7 @@ def made_records():
         counts.ravel()[list(repeated)] = 2
         pairs = [("50.0", "70.0"), ("none", "none"), ("54.0", "90.0"), ("52.0", "80.0")]
         usual = {"reports": [{"evaluation p50 [us]": p50, "evaluation p99 [us]": p99} for p50, p99 in pairs]}
-        usual |= {"measured": [(1.0, 2.0, 3.0), (1.0036, 2.0054, 2.0)]}
+        usual |= {"measured": [(1.0, 2.0), (1.0036, 2.0054)]}
         return Records(counts, delays, **usual | fields)
 
     return made

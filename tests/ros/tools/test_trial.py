@@ -1,4 +1,4 @@
-"""What demo and benchmark share: waiting until the node answers, counting, and a node that leaves nothing behind."""
+"""What the demo is made of: waiting until the node answers, counting, and a node that leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def late_garment(domain):
 def test_nothing_is_lost_between_discovery_and_readiness(late_garment):
     """A joint state sent before the garment answers would count as lost; questions and answers count as nothing."""
     motion = load_motion("walk").resampled(30.0).looped(0.2)
-    records = play_to_node(motion, keep_every=2, warm_up=3, measure=time.monotonic)
+    records = play_to_node(motion, keep_every=2, measure=time.monotonic)
     assert late_garment.asked > 3
     np.testing.assert_array_equal(records.counts, np.ones((6, 1, 1)))
     assert (records.delays > 0).all() and records.strangers == records.not_finite == 0
