@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from pathlib import Path
 from string import Template
 
-__all__ = ["COLOURS", "badge", "write_page"]
+__all__ = ["COLOURS", "badge", "image", "write_page"]
 
 COLOURS = {"ok": "#2d7a46", "repaired": "#1f6fa8", "warning": "#b36b00", "unsure": "#7a4fa3", "refused": "#b3261e"}
 """Of outcomes."""
@@ -36,3 +37,8 @@ def write_page(path: Path, title: str, body: str, *, refresh: int = 0) -> None:
 def badge(text: str, outcome: str) -> str:
     """A word in the colour of an outcome of a check, HTML."""
     return f'<span class="outcome" style="background:{COLOURS[outcome]}">{html.escape(text)}</span>'
+
+
+def image(png: bytes, text: str = "") -> str:
+    """A picture within the page itself, HTML. text: what it shows, for whoever does not see it."""
+    return f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}" alt="{html.escape(text)}">'

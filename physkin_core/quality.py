@@ -10,15 +10,12 @@ import numpy as np
 from physkin_core.model.garment import Garment, face_areas
 
 __all__ = [
-    *("CLOSE", "SNAP", "area_strain", "closest_points", "contact_figures", "edge_strain", "edge_strains"),
-    *("jitter", "signed_distance", "snaps"),
+    *("CLOSE", "area_strain", "closest_points", "contact_figures", "edge_strain", "edge_strains", "jitter"),
+    "signed_distance",
 ]
 
 CLOSE = 0.003
 """Garment vertices nearer to the body than this [m] are counted as close."""
-
-SNAP = 0.04
-"""A second difference [m] this much above that of most vertices is cloth that snaps over, see `snaps`."""
 
 ON_EDGE = 1e-6
 """A closest point with a smaller barycentric coordinate lies on the edge."""
@@ -111,23 +108,8 @@ def contact_figures(distances: np.ndarray) -> dict[str, float]:
 
 
 def jitter(frames: np.ndarray) -> float:
-    """Mean second difference of vertex positions over frames (T, n, 3) [m per frame squared]."""
-    return float(_second_differences(frames, "jitter needs").mean())
-
-
-def snaps(frames: np.ndarray) -> float:
-    """Share (0 to 1) of frames (T, n, 3) [m], the first and last left out, in which cloth snaps from one place to
-    another: some vertex's second difference exceeds that of nine tenths of the vertices by more than `SNAP`.
-
-    What `jitter` does not show: its mean hardly moves when a sleeve jumps across an arm. Meant for 60 frames a second.
-    Raises ValueError for less than 3 frames.
-    """
-    second = _second_differences(frames, "snaps need")
-    return float((second.max(axis=1) - np.quantile(second, 0.9, axis=1) > SNAP).mean())
-
-
-def _second_differences(frames: np.ndarray, what_needs: str) -> np.ndarray:
-    """Lengths (T - 2, n) of the vertices' second differences. Raises ValueError for less than 3 frames."""
+    """Mean second difference of vertex positions over frames (T, n, 3) [m per frame squared]. Raises ValueError for
+    less than 3 frames."""
     if len(frames) < 3:
-        raise ValueError(f"{what_needs} at least 3 frames, got {len(frames)}")
-    return np.linalg.norm(np.diff(frames, n=2, axis=0), axis=-1)
+        raise ValueError(f"jitter needs at least 3 frames, got {len(frames)}")
+    return float(np.linalg.norm(np.diff(frames, n=2, axis=0), axis=-1).mean())

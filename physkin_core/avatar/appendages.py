@@ -17,6 +17,7 @@ import numpy as np
 from physkin_core.avatar.body_model import load_body_model
 from physkin_core.avatar.body_parts import APPENDAGE, BODY, CLOTHES, UNKNOWN, kind_of_part
 from physkin_core.avatar.skinned_mesh import SkinnedMesh
+from physkin_core.model.surface_paths import mesh_edges, pieces
 from physkin_core.rig.linear_blend_skinning import strongest_influence
 from physkin_core.rig.rig import Rig, ancestors
 
@@ -60,11 +61,11 @@ def with_appendages_apart(
     for chain in np.unique(chains[chains >= 0]):
         if far[chains == chain].mean() > MUCH:
             found[chains == chain] = chain
-    pieces = _pieces(mesh.faces[skin], len(mesh.vertices))
-    largest = np.bincount(pieces).argmax()
-    share = np.bincount(pieces, far) / np.maximum(np.bincount(pieces), 1)
+    piece_of = pieces(mesh_edges(mesh.faces[skin])[0], len(mesh.vertices))
+    largest = np.bincount(piece_of).argmax()
+    share = np.bincount(piece_of, far) / np.maximum(np.bincount(piece_of), 1)
     for piece in np.flatnonzero((share > MUCH) & (np.arange(len(share)) != largest)):
-        own = (pieces == piece) & (found < 0)
+        own = (piece_of == piece) & (found < 0)
         if own.any():
             found[own] = np.bincount(strongest[own]).argmax()
     faces = np.where(skin, np.sort(found[mesh.faces], axis=1)[:, 1], -1)  # that of two corners at least
@@ -95,15 +96,6 @@ def _strange_chains(mesh: SkinnedMesh, bone_joint: Mapping[str, int], joint_bone
     if "head" not in bone_joint and (chains >= 0).any():  # then it may be the topmost of these
         chains[chains == chains[np.where(chains >= 0, mesh.joint_heads[:, 2], -np.inf).argmax()]] = -1
     return chains
-
-
-def _pieces(faces: np.ndarray, count: int) -> np.ndarray:
-    """(V,) which piece of the surface each vertex is on."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    first, second = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]).T
-    return connected_components(coo_array((np.ones(len(first)), (first, second)), (count, count)), directed=False)[1]
 
 
 def _off_bones(points: np.ndarray, heads: np.ndarray, tails: np.ndarray) -> np.ndarray:

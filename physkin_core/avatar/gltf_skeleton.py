@@ -21,6 +21,7 @@ from physkin_core.avatar.skinned_mesh import check_bone_count
 from physkin_core.file_reading import ContentError, listed
 from physkin_core.formats.gltf_file import GltfFile
 from physkin_core.formats.gltf_joints import nearest_above, skin_nodes, with_nodes_above
+from physkin_core.model.surface_paths import pieces
 from physkin_core.rig.canonical_pose import LIMB_SEGMENTS, nearest_quarter_turn
 from physkin_core.rig.human_skeleton import HumanSkeleton, find_human_skeleton
 from physkin_core.rig.rig import MOST_BONES, Rig, ancestors
@@ -258,18 +259,14 @@ def _skin(file: GltfFile, number: int) -> GltfSkin:
 
 def _groups(file: GltfFile, skins: Mapping[int, GltfSkin]) -> list[dict[int, GltfSkin]]:
     """Skins that share joints, or whose joints hang on each other's, together; each group in the order of `skins`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     number, edges = {skin: k for k, skin in enumerate(skins)}, []
     owner: dict[int, int] = {}
     for skin in skins:
         edges += [(number[skin], owner.setdefault(joint, number[skin])) for joint in skins[skin].joints]
     carrier = nearest_above(file, owner)
     edges += [(its, carrier.get(int(file.node_parents[joint]), its)) for joint, its in owner.items()]
-    graph = coo_array((np.ones(len(edges)), np.transpose(edges)), (len(skins), len(skins)))
     groups: dict[int, dict[int, GltfSkin]] = {}
-    for skin, group in zip(skins, connected_components(graph, directed=False)[1]):
+    for skin, group in zip(skins, pieces(edges, len(skins))):
         groups.setdefault(group, {})[skin] = skins[skin]
     return list(groups.values())
 

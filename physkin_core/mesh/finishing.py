@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physkin_core.model.garment import Garment
+from physkin_core.model.surface_paths import mesh_edges, pieces
 
 __all__ = ["Finish", "stitching", "turned_up"]
 
@@ -70,7 +71,7 @@ def stitching(garment: Garment, lift: float) -> dict[str, Finish]:
     """Of a garment that was cut flat: "seams" on both sides of a seam, "felled" on that side to which its allowance is
     sewn down, "hems" along open edges. Their places are how far along the line of stitches, then how far from the edge.
     lift: how far above the cloth it is drawn."""
-    panel = _panel_of_faces(garment.panel_faces)
+    panel = _panel_of_faces(garment)
     corners = garment.panel_places[garment.panel_faces]
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"seams": [], "felled": [], "hems": []}
     for line in _lines(garment, panel):
@@ -91,7 +92,7 @@ def turned_up(garment: Garment, depth: float, thickness: float) -> Finish:
     """Hems that are turned up so far, and so far inside: that second layer, and the edge that joins it."""
     open_sides = _open_sides(garment)
     distance = np.full(len(garment.vertices), np.inf)
-    panel, corners = _panel_of_faces(garment.panel_faces), garment.panel_places[garment.panel_faces]
+    panel, corners = _panel_of_faces(garment), garment.panel_places[garment.panel_faces]
     for line in _lines(garment, panel):
         if line.hem:
             faces = np.flatnonzero(panel == line.panel)
@@ -127,16 +128,9 @@ def _open_sides(garment: Garment) -> np.ndarray:
     return np.bincount(garment.face_edges.reshape(-1))[garment.face_edges] == 1
 
 
-def _panel_of_faces(panel_faces: np.ndarray) -> np.ndarray:
+def _panel_of_faces(garment: Garment) -> np.ndarray:
     """(f,) which of the pieces of flat cloth each face is on."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    ends = panel_faces, np.roll(panel_faces, -1, axis=1)
-    pairs = tuple(each.reshape(-1) for each in ends)
-    count = panel_faces.max() + 1
-    joined = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(count, count))
-    return connected_components(joined, directed=False)[1][panel_faces[:, 0]]
+    return pieces(mesh_edges(garment.panel_faces)[0], len(garment.panel_places))[garment.panel_faces[:, 0]]
 
 
 def _lines(garment: Garment, panel: np.ndarray) -> Iterator[_Line]:

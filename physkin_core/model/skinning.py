@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["SkinningData", "cofactors", "skinning_matrices", "unit"]
+__all__ = ["SkinningData", "skinning_matrices", "unit"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,6 @@ class SkinningData:
     detail_node_count: int = 0
     detail_nodes: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int32))
     detail_weights: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=np.float32))
-
-
-def cofactors(linear: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) what normals transform by where tangents transform by `linear` (..., 3, 3): det(A) A^-T."""
-    x, y, z = np.moveaxis(linear, -1, 0)
-    return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

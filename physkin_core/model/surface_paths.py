@@ -1,4 +1,4 @@
-"""Edges of a triangle mesh, and how far it is along them.
+"""Edges of a triangle mesh, what hangs together by them, and how far it is along them.
 
 Dimensions: `n` vertices, `f` faces, `e` edges. Metres.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["HEM", "hem_distances", "mesh_edges", "openings", "path_lengths"]
+__all__ = ["HEM", "hem_distances", "mesh_edges", "openings", "path_lengths", "pieces"]
 
 HEM = 0.03
 """[m] Width of the strip along an opening that is its hem: what lies under it may be seen."""
@@ -21,15 +21,20 @@ def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([keys // span, keys % span], axis=1).astype(faces.dtype), count
 
 
-def openings(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
-    """Vertices of each loop of the boundary, the one whose centre is highest first; none of a closed mesh."""
+def pieces(pairs: np.ndarray, count: int) -> np.ndarray:
+    """The number of the connected piece of each of `count` vertices, (count,), which pairs (p, 2) of them join."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
+    graph = coo_array((np.ones(len(pairs)), tuple(np.transpose(pairs))), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def openings(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
+    """Vertices of each loop of the boundary, the one whose centre is highest first; none of a closed mesh."""
     edges, count = mesh_edges(faces)
     boundary = edges[count == 1]
-    n = len(vertices)
-    _, label = connected_components(coo_array((np.ones(len(boundary)), boundary.T), shape=(n, n)), directed=False)
+    label = pieces(boundary, len(vertices))
     loops = [np.unique(boundary[label[boundary[:, 0]] == loop]) for loop in np.unique(label[boundary[:, 0]])]
     return sorted(loops, key=lambda loop: -vertices[loop, 2].mean())
 

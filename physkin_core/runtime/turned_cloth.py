@@ -10,6 +10,7 @@ import numpy as np
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import face_areas, vertex_normals
+from physkin_core.model.surface_paths import mesh_edges, pieces
 
 __all__ = ["turned_cloth"]
 
@@ -20,15 +21,12 @@ of it has this area at least [m2]: less is a fold."""
 
 def turned_cloth(rest: np.ndarray, faces: np.ndarray, avatar: Avatar) -> np.ndarray:
     """Which vertices (n,) bool of a garment, rest (n, 6) with unit normals and faces (f, 3), are turned inside out."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     distance, closest = cKDTree(avatar.vertices).query(rest[:, :3])
     outward = vertex_normals(avatar.vertices, avatar.faces)[closest]
     turned = (distance < NEAR) & (np.einsum("ni,ni->n", outward, rest[:, 3:]) < FACING)
     inner = faces[turned[faces].all(axis=1)]
-    ends = np.concatenate([inner[:, :2], inner[:, 1:]]).T
-    piece = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=(len(rest),) * 2), directed=False)[1]
+    piece = pieces(mesh_edges(inner)[0], len(rest))
     areas = np.bincount(piece[inner[:, 0]], face_areas(rest[:, :3], inner), minlength=len(rest))
     return turned & (areas[piece] >= LEAST)

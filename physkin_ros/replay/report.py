@@ -5,7 +5,6 @@ Dimensions: `T` clouds, `n` garment vertices. Plots and pictures are embedded PN
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from tabulate import tabulate
 
 from physkin_core import Draper
 from physkin_core.extras import install_command
-from physkin_core.html_page import write_page
+from physkin_core.html_page import image, write_page
 from physkin_core.pictures.picture import PictureError, render, save_png
 from physkin_core.render.filming import dressed_meshes
 from physkin_ros.replay.figures import LABELS, summary
@@ -82,8 +81,8 @@ def write_report(
         parts.append('<p class="well">Not worse than the baseline.</p>')
     parts.append(summary(figures, "html"))
     for caption, png in pictures:
-        image = _image(png, f"garment at {html.escape(caption)}")
-        parts.append(f"<figure>{image}<figcaption>{html.escape(caption)}</figcaption></figure>")
+        shown = image(png, f"garment at {caption}")
+        parts.append(f"<figure>{shown}<figcaption>{html.escape(caption)}</figcaption></figure>")
     write_page(path, title, "\n".join([*parts, f"<p>{html.escape(remark)}</p>", _plots(figures["series"])]))
 
 
@@ -120,8 +119,4 @@ def _plots(series: Mapping[str, Sequence[float | None]]) -> str:
         axes.grid(alpha=0.3)
     png = io.BytesIO()
     figure.savefig(png, format="png")
-    return _image(png.getvalue(), "plots over time [s]")
-
-
-def _image(png: bytes, text: str) -> str:
-    return f'<img src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}" alt="{text}">'
+    return image(png.getvalue(), "plots over time [s]")

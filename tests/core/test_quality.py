@@ -15,7 +15,6 @@ from physkin_core.quality import (
     edge_strain,
     jitter,
     signed_distance,
-    snaps,
 )
 
 
@@ -131,20 +130,7 @@ def test_jitter_is_the_second_difference():
     assert jitter(still + shaking) == pytest.approx(2)
 
 
-def test_a_snap_is_of_few_vertices_not_of_the_body():
-    """All that moves at once, however suddenly, is motion; one vertex in fifty that jumps is a snap, in both frames
-    whose second difference holds the jump."""
-    frames = np.zeros((10, 50, 3))
-    frames[5:] += 0.3
-    assert snaps(frames) == 0
-    frames[5:, 7] += 0.03
-    assert snaps(frames) == pytest.approx(2 / 8)
-    frames[5:, 7] -= 0.01
-    assert snaps(frames) == 0
-
-
-def test_jitter_and_snaps_need_three_frames():
-    for figure in (jitter, snaps):
-        with pytest.raises(ValueError, match="at least 3 frames, got 2"):
-            figure(np.zeros((2, 5, 3)))
+def test_jitter_needs_three_frames():
+    with pytest.raises(ValueError, match="at least 3 frames, got 2"):
+        jitter(np.zeros((2, 5, 3)))
     assert jitter(np.zeros((3, 5, 3))) == 0

@@ -10,11 +10,16 @@ from collections import Counter
 import torch
 
 from physkin_core.model.garment import Garment
-from physkin_core.quality import CLOSE, SNAP
+from physkin_core.quality import CLOSE
 from physkin_training.energies.rest_data import RestData
 from physkin_training.physics.physics_losses import Energies
 
-__all__ = ["Figures"]
+__all__ = ["SNAP", "Figures"]
+
+SNAP = 0.04
+"""[m] Cloth snaps from one place to another in a frame in which some vertex's second difference exceeds that of nine
+tenths of the vertices by more than this. Jitter does not show it: its mean hardly moves when a sleeve jumps across an
+arm. Meant for 60 frames a second."""
 
 
 class Figures:
@@ -48,7 +53,7 @@ class Figures:
 
         rest_row: (B,) integers, which rest shape each has, default the first. takes: (B,) int64, for drapes that are
         frames of motion, the take that each is of: a take's frames come together and in order, over as many batches as
-        need be, and jitter and snaps are those of `physkin_core.quality` over each take by itself.
+        need be, and jitter, as of `physkin_core.quality`, and snaps (`SNAP`) are of each take by itself.
         """
         vertices = vertices[:count]
         ends = vertices[:, self.edges]

@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 from trimesh.geometry import faces_to_edges
 from trimesh.graph import connected_component_labels
 
+from physkin_core.model.skinning import unit
+
 __all__ = ["SEAM", "Runs", "find_runs", "sewn_along"]
 
 SHORTEST = 0.03
@@ -53,11 +55,11 @@ def find_runs(vertices: np.ndarray, faces: np.ndarray, within: float) -> Runs:
     rim, third = sides[alone], faces[owner[alone]].sum(axis=1) - sides[alone].sum(axis=1)
     start, along = vertices[rim[:, 0]], vertices[rim[:, 1]] - vertices[rim[:, 0]]
     length = np.linalg.norm(along, axis=1)
-    inward = _unit(np.cross(np.cross(along, vertices[third] - start), along))
+    inward = unit(np.cross(np.cross(along, vertices[third] - start), along))
     own, shortest, least = np.zeros_like(vertices), *np.full((2, len(vertices)), np.inf)
     np.add.at(own, rim, inward[:, None])
     np.minimum.at(shortest, rim, length[:, None])
-    own = _unit(own)
+    own = unit(own)
     spacing = length.mean() if len(rim) else 0.0
     parts = np.ceil(length / max(spacing, 1e-9)).astype(int)
     edge = np.repeat(np.arange(len(rim)), parts)
@@ -120,7 +122,3 @@ def sewn_along(vertices: np.ndarray, faces: np.ndarray, runs: Runs) -> tuple[np.
     middle = np.stack([np.bincount(label, axis) for axis in vertices.T], axis=1) / np.bincount(label)[:, None]
     faces = label[faces]
     return middle, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from tabulate import tabulate
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.check.garment_check import check_garment
-from physkin_core.html_page import badge, write_page
+from physkin_core.html_page import badge, image, write_page
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.outfit.draper import Draper
 from physkin_core.pictures.picture import PictureError, save_png
@@ -185,4 +184,4 @@ def _figures(scores: dict) -> str:
 def _image(picture: np.ndarray) -> str:
     buffer = io.BytesIO()
     save_png(buffer, picture)
-    return f'<img src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}" alt="">'
+    return image(buffer.getvalue())

@@ -10,12 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from physkin_core.model.garment import Garment
 from physkin_core.model.garment_model import GarmentModel
 from physkin_core.model.garment_nodes import closest_bones
+from physkin_core.model.surface_paths import pieces
 from physkin_core.rig.rig import Rig
 from physkin_training.config import DetailConfig
 
@@ -123,10 +122,8 @@ class _Piece:
 
 
 def _connected_pieces(garment: Garment) -> list[np.ndarray]:
-    n = len(garment.vertices)
-    graph = coo_array((np.ones(len(garment.edges)), garment.edges.T), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    return [np.flatnonzero(label == piece) for piece in range(count)]
+    label = pieces(garment.edges, len(garment.vertices))
+    return [np.flatnonzero(label == piece) for piece in range(label.max() + 1)]
 
 
 def initial_skinning_weights(garment: Garment, distances: np.ndarray, influences: int) -> tuple[np.ndarray, np.ndarray]:

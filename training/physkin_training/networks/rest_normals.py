@@ -73,6 +73,6 @@ def fitted_rest_normals(
 
 
 def _cofactors(linear: torch.Tensor) -> torch.Tensor:
-    """Twin of `physkin_core.model.skinning.cofactors`, (..., 3, 3)."""
+    """What normals transform by where tangents transform by `linear` (..., 3, 3): det(A) A^-T."""
     x, y, z = linear.unbind(dim=-1)
     return torch.stack([torch.linalg.cross(y, z), torch.linalg.cross(z, x), torch.linalg.cross(x, y)], dim=-1)

@@ -14,13 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from physkin_core.avatar.avatar import Avatar
 from physkin_core.model.garment import Garment, GarmentError
 from physkin_core.model.garment_model import Material
 from physkin_core.model.rest_shape import flat_areas
+from physkin_core.model.surface_paths import pieces
 from physkin_core.rig.rig import Rig
 from physkin_core.runtime.frame_input import UPRIGHT_GRAVITY
 from physkin_training.contact.surface_queries import BodySurface
@@ -144,9 +143,7 @@ def _flat(places: np.ndarray) -> np.ndarray:
 def _sewn_together(cut: Cut) -> np.ndarray:
     """(t,) the vertex of the garment that each of the cut becomes. Raises PatternError where more than two faces would
     share an edge, before anything is simulated."""
-    t = len(cut.places)
-    pairs = coo_array((np.ones(len(cut.seams)), cut.seams.T), shape=(t, t))
-    vertex = connected_components(pairs, directed=False)[1]
+    vertex = pieces(cut.seams, len(cut.places))
     edges = np.sort(vertex[cut.faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
     if count.max() > 2:
