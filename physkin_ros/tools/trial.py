@@ -237,9 +237,9 @@ def play_to_node(
                 if time.monotonic() > end:
                     raise TrialError("the motion was not played in time")
             stamps, measured = playing.get()
-        count = -1
-        while count < len(listener.arrived):
-            count = len(listener.arrived)
+        played_at, count = set(stamps.flat), -1
+        while count < (arrived := sum(stamp in played_at for *_, stamp in listener.arrived)):
+            count = arrived  # of this motion: others may go on publishing
             spin_until(executor, SILENCE_SECONDS, lambda: False)
         return listener.records(stamps, measured)
     finally:
