@@ -28,7 +28,7 @@ from physkin_msgs.srv import SetBody  # noqa: E402
 
 GARMENTS, RATE_HZ = 16, 60
 SWAP_SECONDS = 1.2
-SETTLED = 0.6  # share of the time after which as many bodies are kept as ever will be
+SETTLED = 0.6  # share of the time after which as many bodies are kept as ever will be: in less than 72 s they are not
 MODEL = "tshirt"
 
 
@@ -58,7 +58,7 @@ class Usage:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [40, 600])
+@pytest.mark.parametrize("seconds", [120, 600])
 def test_soak(domain, tmp_path, seconds):
     """At most one cloud in a thousand is lost; memory and files do not grow; nothing is logged that should not be.
 
