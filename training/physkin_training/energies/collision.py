@@ -104,7 +104,7 @@ def collision_kernel(
             if inside_out[v]:
                 alike = -alike
             if depth < DEEP or (mine and alike >= 0.0):
-                if other_limb[v, part] and wp.dot(outward, centre_of(body, own) - closest) <= 0.0:
+                if other_limb[v, part] and wp.dot(outward, own_centre - closest) <= 0.0:
                     depth = 0.0
                 if gap > 1.0e-6:
                     outward = away * (hit.sign / gap)
@@ -114,7 +114,7 @@ def collision_kernel(
     if lost:
         limit = LED_BACK_BEYOND
         outward = wp.mesh_eval_face_normal(body, own)
-        depth = contact_offset - wp.dot(point - centre_of(body, own), outward)
+        depth = contact_offset - wp.dot(point - own_centre, outward)
     if depth <= 0.0:
         return
     k_area = stiffness[0] * rest.vertex_area[rest.row[s], v]
