@@ -9,6 +9,7 @@ import argparse
 import html
 import json
 import logging
+import math
 import os
 import shutil
 import socket
@@ -198,7 +199,8 @@ def done_on_cluster(
         most = max(int(machine.get("CPU", 0)) for machine in machines)
         if cpus > most:
             raise ValueError(f"--cpus {cpus}: no machine of the cluster has more than {most} for each row")
-        at_once = sum(int(machine["GPU"] if gpus else machine.get("CPU", 0) // cpus) for machine in machines)
+        room = ((machine.get("CPU", 0) // cpus, machine["GPU"] if gpus else math.inf) for machine in machines)
+        at_once = sum(int(min(each)) for each in room)
         most, groups = min(LONGEST_BATCH, -(-len(rows) // at_once)), {}
         for row in rows:
             groups.setdefault(row.name if alone else row.shares, []).append(row)
